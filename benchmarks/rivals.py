@@ -274,7 +274,7 @@ def installed(names: Sequence[str]) -> list[str]:
     every = (*METHODS, *COUNTED)
     unknown = [name for name in names if name not in every]
     if unknown:
-        raise SystemExit(f"no method is called {unknown[0]!r}; there are {', '.join(every)}")
+        raise SystemExit(f"no method is named {unknown[0]!r}; there are {', '.join(every)}")
     rivals = {name: name.removesuffix("+count") for name in names}
     missing = {name: missing_extra(rival) for name, rival in rivals.items() if rival in RIVALS}
     for name, extra in missing.items():

@@ -16,7 +16,7 @@
 - ``time``: 8 LiDARs, 4 placements, 100,000 points in each recording.
 
 Seeds below 1000 are for tuning, from 2000 on they state the figure. What was set on tuning seeds:
-`blunders.BLUNDER`, `patch_pairs.MAX_LEAN`, `verdict.OPEN`.
+`blunders.BLUNDER`, `patch_pairs.MAX_LEAN`, `verdict.site.LOOP_SIGNIFICANCE`.
 """
 
 from __future__ import annotations

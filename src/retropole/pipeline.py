@@ -31,7 +31,7 @@ from .base.timing import timed
 from .base.uncertainty.confirmation import Confirmation
 from .base.uncertainty.purpose import Need
 from .hypotheses.by_place import (
-    align_by_place_where_open,
+    align_by_place_if_open,
     check_confirmed_by_surroundings,
     check_constrained,
 )
@@ -50,7 +50,7 @@ from .verdict.fitness import judge
 from .verdict.map import of_map
 from .verdict.preference import check_near_poles
 from .verdict.similarity import check_similarity, check_unit, explain
-from .verdict.site import check_decided, confirm_links, radius_denied
+from .verdict.site import check_decided, confirm_links, radius_conflict
 from .verdict.statement import (
     Answered,
     advising_no_poles,
@@ -199,7 +199,7 @@ def calibrate_placements(
     poles, scene, prior, by_hand = options.poles, options.scene, options.prior, options.by_hand
     radius, thresholds, trusted = options.radius, options.thresholds, options.trust_poles
     if poles == 0 and not scene:
-        raise UsageError("without poles the scene must give the pose: leave out --no-refine")
+        raise UsageError("without poles the scene must determine the pose: leave out --no-refine")
     known = {"radius": radius, "radius_sigma": options.radius_sigma}
     step = partial(timed, seconds, progress)
     origins = beam_origins(found)
@@ -224,7 +224,7 @@ def calibrate_placements(
             if chosen.refusal is not None:
                 raise chosen.refusal
             with step("align"):
-                chosen, aligned = align_by_place_where_open(
+                chosen, aligned = align_by_place_if_open(
                     chosen, **known, by_place=scene and by_hand is None, count=poles, prior=prior
                 )
                 hypotheses = chosen.hypotheses
@@ -352,7 +352,7 @@ def calibrate_site(
                     adjusted = adjust(recorded, datum)
             with step("test"):
                 # Whatever is refused from here on, a radius that the returns contradict may be why.
-                blunders = list(radius_denied(adjusted))
+                blunders = list(radius_conflict(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
                 unchecked = list(check_poles_of_dependent(recorded, adjusted))
             with step("confirm"):

@@ -11,7 +11,7 @@ import click
 from retropole.base.errors import Refusal, RetropoleError, printable
 from retropole.base.files import write_atomically
 from retropole.cli.common import CONTEXT, never_fail_to_encode, progress_on_terminal, show
-from retropole.cli.errors import failure_of, tell
+from retropole.cli.errors import failure_of, report_failure
 from retropole.cli.options import OUT
 from studies.paper import Exhibit, Experiment, experiments, reproduce, write_exhibit
 
@@ -123,7 +123,7 @@ def main() -> None:
         paper(prog_name=COMMAND)
     except (RetropoleError, OSError) as error:
         refused = isinstance(error, Refusal)
-        sys.exit(tell(failure_of(error, COMMAND), refused=refused, as_json=False))
+        sys.exit(report_failure(failure_of(error, COMMAND), refused=refused, as_json=False))
 
 
 if __name__ == "__main__":

@@ -68,13 +68,19 @@ def log_likelihood(
     radius = state.radius
     lateral = np.full_like(sigma, 0.003)
     arc = arc_likelihood(
-        seen.depth, seen.lateral_offset, sigma, lateral, radius, beams.half_width, beams.beside
+        seen.depth,
+        seen.lateral_offset,
+        sigma,
+        lateral,
+        radius,
+        beams.half_width,
+        beams.passed_share,
     )
     far = np.zeros(len(beams.passed_pole))
     directions, _ = corrected(beams.passed_directions, far, b, lidar, layout)
-    beside = beam_geometry(state, lidar, beams.origin, directions, far, beams.passed_pole)
+    passed_share = beam_geometry(state, lidar, beams.origin, directions, far, beams.passed_pole)
     free = passed_beam_likelihood(
-        beside.lateral_offset, np.full_like(far, 0.003), radius, beams.passed_half_width
+        passed_share.lateral_offset, np.full_like(far, 0.003), radius, beams.passed_half_width
     )
     return np.array(arc.log.sum() + free.log.sum())
 
@@ -133,17 +139,17 @@ def parts_of(layout: Layout, lidar: int) -> list[slice]:
 
 def only(beams: Beams, pole: int) -> Beams:
     """The beams at one pole; the other pole keeps its number and has none."""
-    on, beside = beams.pole == pole, beams.passed_pole == pole
+    on, passed_share = beams.pole == pole, beams.passed_pole == pole
     return replace(
         beams,
         directions=beams.directions[on],
         ranges=beams.ranges[on],
         pole=beams.pole[on],
         half_width=beams.half_width[on],
-        beside=beams.beside[on],
-        passed_directions=beams.passed_directions[beside],
-        passed_pole=beams.passed_pole[beside],
-        passed_half_width=beams.passed_half_width[beside],
+        passed_share=beams.passed_share[on],
+        passed_directions=beams.passed_directions[passed_share],
+        passed_pole=beams.passed_pole[passed_share],
+        passed_half_width=beams.passed_half_width[passed_share],
     )
 
 
@@ -155,7 +161,7 @@ STATE = State(
 
 def beams_at_pole(rng: np.random.Generator, rings: int, step: float, width: float) -> Beams:
     """Beams of full angle `width` that meet a pole 6 m away, or pass it; rings are 1.6° apart."""
-    on, beside = [], []
+    on, passed_share = [], []
     for ring in range(rings):
         elevation = np.radians(1.6) * (ring - (rings - 1) / 2)
         for azimuth in np.arange(-0.03, 0.03, step) + step * rng.uniform():
@@ -166,8 +172,8 @@ def beams_at_pole(rng: np.random.Generator, rings: int, step: float, width: floa
                 depth = 6.0 * np.cos(azimuth) - np.sqrt(max(THICK**2 - m**2, 0.0))
                 on.append(np.r_[ray, depth / np.cos(elevation) + NOISE[0] * rng.normal()])
             elif m < THICK + 0.5 * width * 6.0 + 0.02:
-                beside.append(ray)
-    rows, rays = np.array(on), np.array(beside).reshape(-1, 3)
+                passed_share.append(ray)
+    rows, rays = np.array(on), np.array(passed_share).reshape(-1, 3)
     return Beams(
         np.zeros(3),
         np.array([0.0, 0.0, 1.0]),
@@ -189,7 +195,7 @@ def test_an_exact_view_is_the_likelihood_at_the_state() -> None:
     sigma = np.hypot(NOISE[0] * seen.sine, NOISE[1] * np.sqrt(1 - seen.sine**2))
     lateral = np.full_like(sigma, NOISE[1])
     arc = arc_likelihood(
-        seen.depth, seen.lateral_offset, sigma, lateral, THICK, beams.half_width, beams.beside
+        seen.depth, seen.lateral_offset, sigma, lateral, THICK, beams.half_width, beams.passed_share
     )
     for one, other in (
         (found.score, arc.score),

@@ -79,15 +79,21 @@ def returns(rng: np.random.Generator, width: float, count: int = 200) -> Array:
     return np.stack([depth, x + SIGMA_MISS * rng.normal(size=count), np.full(count, RADIUS)], 1)
 
 
-@pytest.mark.parametrize("beside", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("passed_share", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("width", [0.0, 0.008])
-def test_arc_derivatives(width: float, beside: float) -> None:
+def test_arc_derivatives(width: float, passed_share: float) -> None:
     values = returns(np.random.default_rng(3), width)
 
     def at(v: Array) -> ArcLikelihood:
         ones = np.ones(len(v))
         return arc_likelihood(
-            v[:, 0], v[:, 1], SIGMA_DEPTH * ones, SIGMA_MISS * ones, float(v[0, 2]), width, beside
+            v[:, 0],
+            v[:, 1],
+            SIGMA_DEPTH * ones,
+            SIGMA_MISS * ones,
+            float(v[0, 2]),
+            width,
+            passed_share,
         )
 
     # The integral is cut where it does not count, except for returns far off the pole.
@@ -147,7 +153,7 @@ def test_pass_derivatives_and_limits() -> None:
     assert on == pytest.approx(np.log(0.05), abs=1e-3)
 
 
-def bias_of_radius(noise: float, beside: float, *, passed: bool) -> float:
+def bias_of_radius(noise: float, passed_share: float, *, passed: bool) -> float:
     """Step to the radius that beams 0.02 mm apart have, with that noise sideways; metres."""
     rng, width = np.random.default_rng(5), 0.008
     x = np.arange(-0.06, 0.06, 2e-5)
@@ -155,7 +161,7 @@ def bias_of_radius(noise: float, beside: float, *, passed: bool) -> float:
     on, ones = np.abs(x) < RADIUS + width, np.ones(len(x))
     depth = np.sqrt(np.maximum(RADIUS**2 - x**2, 0)) + SIGMA_DEPTH * rng.normal(size=len(x))
     arc = arc_likelihood(
-        depth[on], m[on], SIGMA_DEPTH * ones[on], SIGMA_MISS * ones[on], RADIUS, width, beside
+        depth[on], m[on], SIGMA_DEPTH * ones[on], SIGMA_MISS * ones[on], RADIUS, width, passed_share
     )
     free = passed_beam_likelihood(m[~on], SIGMA_MISS * ones[~on], RADIUS, width)
     score = arc.score[:, 2].sum() + passed * free.score[:, 1].sum()

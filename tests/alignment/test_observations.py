@@ -30,14 +30,14 @@ def beams_before(wall: tuple[float, float]) -> Beams:
 
 
 @pytest.mark.parametrize(
-    ("wall", "beside"), [((-1.0, 1.0), 1.0), ((0.0, 1.0), 0.5), ((0.0, 0.0), 0.0)]
+    ("wall", "passed_share"), [((-1.0, 1.0), 1.0), ((0.0, 1.0), 0.5), ((0.0, 0.0), 0.0)]
 )
 def test_beams_next_to_a_pole_are_known_where_something_stands_behind(
-    wall: tuple[float, float], beside: float
+    wall: tuple[float, float], passed_share: float
 ) -> None:
     beams = beams_before(wall)
-    np.testing.assert_array_equal(beams.beside, beside)
-    assert (len(beams.passed_pole) > 0) == (beside > 0)
+    np.testing.assert_array_equal(beams.passed_share, passed_share)
+    assert (len(beams.passed_pole) > 0) == (passed_share > 0)
 
 
 def test_of_an_unknown_sensor_nothing_is_known_next_to_a_pole() -> None:
@@ -45,8 +45,8 @@ def test_of_an_unknown_sensor_nothing_is_known_next_to_a_pole() -> None:
     xyz = np.array([RANGE, 0.0, 0.0]) + rng.uniform(-1, 1, (50, 3)) * [0.005, 0.015, 0.5]
     pole = Pole(xyz.mean(axis=0), np.array([0.0, 0.0, 1.0]), xyz, 1.0, 0.01, 9, np.arange(len(xyz)))
     beams = beams_of([(pole, PointCloud(xyz, np.ones(len(xyz))))])
-    assert not beams.beside.any()
-    assert len(beams.beside) == len(xyz)
+    assert not beams.passed_share.any()
+    assert len(beams.passed_share) == len(xyz)
 
 
 @pytest.fixture(scope="module")

@@ -177,30 +177,30 @@ def test_of_a_file_without_intensity_no_array_is_requested(tmp_path: Path) -> No
         ({"radius": 0.0}, "radius is 0.0, expected a number from 0.002 to 0.25 m"),
         ({"radius": 0.3}, "radius is 0.3, expected a number from 0.002 to 0.25 m"),
         ({"radius": 1e9}, r"radius is 1000000000\.0, expected a number from 0.002 to 0.25 m"),
-        ({"radius": 20}, r"radius is 20: 20 m is no pole; 20 mm\? give 0\.02"),
+        ({"radius": 20}, r"radius is 20: 20 m is not the radius of a pole; 20 mm\? give 0\.02"),
         ({"radius": "20"}, r"20 mm\? give 0\.02"),
-        ({"radius": 2.0}, r"2 m is no pole; 2 cm\? give 0\.02"),
-        ({"radius": 150.0}, r"150 m is no pole; 150 mm\? give 0\.15"),
+        ({"radius": 2.0}, r"2 m is not the radius of a pole; 2 cm\? give 0\.02"),
+        ({"radius": 150.0}, r"150 m is not the radius of a pole; 150 mm\? give 0\.15"),
         ({"radius": float("nan")}, "radius is nan"),
         ({"radius_sigma": -1.0}, "radius_sigma is -1.0, expected a number from 0 to 0.25 m"),
         ({"need": 0.0}, "need is 0.0, expected a number above 0, 10 m at most"),
         ({"need": 0.02, "at": float("inf")}, "at is inf"),
-        ({"at": 30.0}, "at is the distance for need"),
+        ({"at": 30.0}, "at is the distance up to which"),
         ({"poles": -1}, "poles is -1, expected a number from 0 to 9007199254740992"),
         ({"prior_sigma_deg": 0.0}, "prior_sigma_deg is 0.0"),
         ({"prior_sigma_deg": float("inf")}, "prior_sigma_deg is inf"),
         ({"up": True, "prior_rpy_deg": (0.0, 0.0, 0.0)}, "exclude each other"),
-        ({"sensor_target": "nonsense"}, "no sensor is called 'nonsense'"),
+        ({"sensor_target": "nonsense"}, "no sensor is named 'nonsense'"),
         (
             {"target_topic": "/front"},
-            "target: a topic or frames, intensity and angles are chosen in files",
+            "target: a topic, frames, intensity and angles can be chosen in files",
         ),
         (
             {"frames": slice(0, 2)},
-            "target: a topic or frames, intensity and angles are chosen in files",
+            "target: a topic, frames, intensity and angles can be chosen in files",
         ),
-        ({"hypothesis": "first"}, "hypothesis is 'first', expected a letter of the list"),
-        ({"hypothesis": 1}, "hypothesis is 1, expected a letter of the list"),
+        ({"hypothesis": "first"}, "hypothesis is 'first', expected a letter from the list"),
+        ({"hypothesis": 1}, "hypothesis is 1, expected a letter from the list"),
         ({"radius": "thick"}, "wrong type"),
         ({"sensor": ("XT32", "XT32", "XT32")}, "sensor: one value for both LiDARs"),
         ({"options": {"refine": False}}, "options is {'refine': False}, expected a RunConfig"),
@@ -209,7 +209,7 @@ def test_of_a_file_without_intensity_no_array_is_requested(tmp_path: Path) -> No
         ({"prior_rpy_deg": (0.0, 1.0)}, "wrong type"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:.*by options, or sensor:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*through options, or as sensor:DeprecationWarning")
 def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
     with pytest.raises(rp.UsageError, match=message):
         rp.calibrate(tables().target, tables().source, **options)  # type: ignore[arg-type]
@@ -271,7 +271,7 @@ def test_a_sensor_that_does_not_see_so_much_is_doubted() -> None:
     )
     assert result.status == "warn"
     (reason,) = (each for each in result.reasons if each.code == "sensor_doubtful")
-    assert "outside of what the Mid-360 sees (-7.0° to 52.0°)" in reason.message
+    assert "outside the field of view of the Mid-360 (-7.0° to 52.0°)" in reason.message
     assert reason.values["lidar"] == "target"
 
 

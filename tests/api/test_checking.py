@@ -46,7 +46,7 @@ def test_of_a_site_the_pose_between_two_lidars_is_stored(tmp_path: Path) -> None
     assert stored.hashes[0][0] in of_both[0]
     assert stored.hashes[0][1] in of_both[len(sensors) - 1]
     for names in ((first, "nobody"), (first, first), (first, "site"), None):
-        with pytest.raises(ReadError, match=f"--parent .* --child; there are {first}, .*{last}"):
+        with pytest.raises(ReadError, match=f"--parent .* --child; it has {first}, .*{last}"):
             read_stored(tmp_path, lidars=names)
 
 

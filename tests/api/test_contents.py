@@ -62,7 +62,7 @@ def test_which_field_the_intensity_is_of(tmp_path: Path, cloud: PointCloud) -> N
     found = describe(tmp_path / "a.npz")
     intensity = required(found.clouds[0].intensity)
     assert (intensity.field, intensity.others) == ("signal", ["reflectivity"])
-    assert "of the field signal; --intensity reflectivity takes another" in describe_info(found)
+    assert "of the field signal; --intensity reflectivity selects another" in describe_info(found)
     named = required(describe(tmp_path / "a.npz", intensity="reflectivity").clouds[0].intensity)
     assert (named.field, named.others, named.max) == ("reflectivity", ["signal"], 7)
     np.savez(tmp_path / "b.npz", **columns)

@@ -144,14 +144,14 @@ def test_voxels_are_of_all_lidars_together(tmp_path: Path) -> None:
     ("asked", "words"),
     [
         ({"out": "a.laz", "surfels": 0.3}, "surfels are written as .ply"),
-        ({"surfels": 0.3, "voxel": 0.1}, "surfels are made of all points"),
+        ({"surfels": 0.3, "voxel": 0.1}, "surfels use all points"),
         ({"out": "a.mcap", "voxel": 0.1}, "MCAP holds the sweeps one by one"),
-        ({"out": "a.ply", "frame": "site"}, "no frame is called 'site'; there are target, source"),
+        ({"out": "a.ply", "frame": "site"}, "no frame is named 'site'; there are target, source"),
         ({"out": "a.ply", "frame": "map"}, "the result has no frame map"),
-        ({"out": "a.ply", "frame": "source", "epsg": 25832}, "--crs is of the frame map"),
-        ({"out": "a.ply", "epsg": 25832}, "nothing ties the frame"),
+        ({"out": "a.ply", "frame": "source", "epsg": 25832}, "--crs belongs to the frame map"),
+        ({"out": "a.ply", "epsg": 25832}, "has no known position on the earth"),
         ({"out": "a.xyz"}, "unknown suffix"),
-        ({}, "a file to write is needed"),
+        ({}, "give a file to write"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

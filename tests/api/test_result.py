@@ -200,7 +200,7 @@ def test_a_notebook_shows_the_plot() -> None:
         (b"", "no result document"),
         (b"{}", "no result document"),
         (b"[1, 2]", "no result document"),
-        (b'{"schema": "retropole/result/2"}', "is of a newer version of retropole; update"),
+        (b'{"schema": "retropole/result/2"}', "is from a newer version of retropole; update"),
         (b"\xff\xfe", "no result document"),
     ],
 )

@@ -25,7 +25,7 @@ def test_options_are_taken() -> None:
     assert made.sensors[1].name == "VLP-16"
     assert made.target.frame is not None
     assert set(np.unique(made.target.frame)) == {0, 1}
-    with pytest.raises(rp.UsageError, match="no scene is called 'moon'"):
+    with pytest.raises(rp.UsageError, match="no scene is named 'moon'"):
         rp.simulate("moon")
 
 
@@ -39,7 +39,7 @@ def test_the_place_before_its_poles_are_set_up() -> None:
     answer = rp.calibrate(bare.target, bare.source, poles=0)
     assert answer.T_target_source is not None
     assert e_rt(answer.T_target_source, bare.T_target_source) < 0.1
-    with pytest.raises(rp.UsageError, match="nothing but its poles"):
+    with pytest.raises(rp.UsageError, match="only its poles"):
         rp.simulate("paper", poles=0)
 
 

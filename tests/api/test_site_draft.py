@@ -129,8 +129,11 @@ def test_one_name_with_numbers_is_of_as_many_lidars(tmp_path: Path) -> None:
         (("a_1.pcd", "b.pcd"), "a_1.pcd may be LIDAR_PLACEMENT, b.pcd is not"),
         (("a/1.pcd", "a/1.ply", "b/1.pcd"), "are both a in placement 1"),
         (("a/1.pcd", "a/2.pcd"), "recordings of one LiDAR, a, in 2 placements: 1, 2"),
-        (("a\n/1.pcd", "b/1.pcd"), "its names make no site file: lidar, name"),
-        (("x" * 70 + "/1.pcd", "b/1.pcd"), "its names make no site file: lidar 2"),
+        (("a\n/1.pcd", "b/1.pcd"), "its file names cannot be turned into a site file: lidar, name"),
+        (
+            ("x" * 70 + "/1.pcd", "b/1.pcd"),
+            "its file names cannot be turned into a site file: lidar 2",
+        ),
     ],
 )
 def test_names_that_do_not_say_it_are_told(

@@ -127,7 +127,7 @@ def test_clouds_that_were_never_files_are_reported_once(tmp_path: Path) -> None:
     result = rp.calibrate_site(made(placements=1).as_site())
     result.save(tmp_path / "out")
     (note,) = scans_of(rp.load_site_result(tmp_path / "out").document, tmp_path / "out").notes
-    assert "was an array, which is in no file" in note
+    assert "was an array, not a file" in note
 
 
 def test_serial_numbers_are_those_of_the_site_file_or_given(own: Path) -> None:

@@ -273,13 +273,13 @@ def test_where_there_is_no_room_sweeps_stay_and_are_written_when_there_is(
     said = go_on(watch, clock, lambda doc: doc.code == "not_written")
     assert not said[-1].is_good
     assert f"{out}" in said[-1].next
-    assert "Make room: 15 sweeps are kept in memory" in said[-1].next
+    assert "Free disk space: 15 sweeps are kept in memory" in said[-1].next
     # Whatever is seen meanwhile.
     for source in sources:
         source.pause = lambda count: True
     said = go_on(watch, clock, lambda doc: doc.seconds > said[-1].seconds + 4)
     assert {doc.code for doc in said} == {"not_written"}
-    assert len([words for words in said[-1].words if "Make room" in words]) == 1
+    assert len([words for words in said[-1].words if "Free disk space" in words]) == 1
     out.unlink()
     go_on(watch, clock, lambda doc: doc.phase == "done", 120)
     assert [path.name for path in out.glob("*.mcap")] == ["placement1.mcap"]
@@ -331,7 +331,7 @@ def test_another_recording_in_the_place_of_what_was_captured_is_left_out(
     monkeypatch.setattr(f"{module}.calibrate_with", swapped)
     watch, _, clock = watch_of(sweeps, WISH, tmp_path)
     said = go_on(watch, clock, lambda doc: any("left out" in words for words in doc.words))
-    assert "placement1.mcap is left out: it is no longer what was recorded" in said[-1].words[-1]
+    assert "placement1.mcap is left out: it has changed since it was recorded" in said[-1].words[-1]
     assert watch.result is None
     used = list[Path]()
 
@@ -355,18 +355,18 @@ def test_sweeps_of_another_origin_join_no_placement_that_is_kept(
     front.frame_id = "other" * 300
     said = go_on(watch, clock, lambda doc: doc.code == "unreadable")
     assert "'otherother" in said[-1].next
-    assert "those that are kept from frame 'front_frame'" in said[-1].next
+    assert "the stored ones from frame 'front_frame'" in said[-1].next
     assert all(len(words) < 400 for words in said[-1].words)
     front.frame_id = "front_frame"
     go_on(watch, clock, lambda doc: doc.code != "unreadable")
 
 
 def test_sources_are_opened_by_their_names(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no source"):
+    with pytest.raises(UsageError, match="not a source"):
         open_sources(["front.pcd", "folder:x"])
     with pytest.raises(UsageError, match="two sources"):
         open_sources([f"folder:{tmp_path}"] * 2)
-    with pytest.raises(UsageError, match="no port"):
+    with pytest.raises(UsageError, match="not a port"):
         open_sources(["velodyne:abc", f"folder:{tmp_path}"])
     with pytest.raises(UsageError, match="metadata"):
         open_sources(["ouster:7502", f"folder:{tmp_path}"])
@@ -391,7 +391,11 @@ def test_sources_read_the_field_and_the_angles_that_are_wanted(tmp_path: Path) -
     unit = Wanted(angles="unit.csv")
     for named, wanted, fault in (
         (texts, unit, "has no packets"),
-        ([f"folder:{tmp_path}", "hesai:2368"], unit, "angles are of packets of hesai, robosense"),
+        (
+            [f"folder:{tmp_path}", "hesai:2368"],
+            unit,
+            "angles can be given for packets of hesai, robosense",
+        ),
         (["hesai:2368", f"folder:{tmp_path}"], Wanted("echo"), "packets have one intensity"),
     ):
         with pytest.raises(UsageError, match=fault):
@@ -415,10 +419,10 @@ def test_names_come_from_topics() -> None:
 @pytest.mark.parametrize(
     ("frames", "said"),
     [
-        (("", "rear"), "the sweeps of front name no frame"),
-        (("front", ""), "the sweeps of rear name no frame"),
+        (("", "rear"), "the sweeps of front have no frame_id"),
+        (("front", ""), "the sweeps of rear have no frame_id"),
         (("lidar", "lidar"), "both LiDARs name the frame 'lidar'"),
-        (("front\nlidar", "rear"), "no name for the parent frame"),
+        (("front\nlidar", "rear"), "not a valid name for the parent frame"),
         (("front", "x" * 501), "501 characters"),
     ],
 )

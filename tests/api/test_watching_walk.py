@@ -145,7 +145,7 @@ def test_where_there_is_no_room_it_is_reported_and_the_walk_begins_again(
         patch.setattr(watching_walk, "stream_atomically", full)
         said = small(tmp_path, count=40)
     assert said[25].code == "not_written"
-    assert "Make room" in said[25].next
+    assert "Free disk space" in said[25].next
     assert not list(tmp_path.iterdir())
 
 

@@ -17,11 +17,11 @@ from retropole.base.clocks import NOTICED, words_of
         (3600.2, "is 60 min ahead of the recorder's, as one time zone is from another"),
         (-19800.0, "is 5.5 h behind .*as one time zone"),
         (0.3, f"agrees with the recorder's within {NOTICED:g} s"),
-        (1.4, "is 1.4 s ahead of the recorder's, which is no known difference"),
-        (36.0, "no known difference"),
-        (3637.0, "is 3637.0 s ahead of .*no known difference"),
+        (1.4, "is 1.4 s ahead of the recorder's, which is not a known difference"),
+        (36.0, "not a known difference"),
+        (3637.0, "is 3637.0 s ahead of .*not a known difference"),
         (-2.1e8, "is 2400 d behind the recorder's: it was never set, or .* recorded again later"),
-        (-1.7e9, "counts from its start, its times are no dates"),
+        (-1.7e9, "runs from its start, its times are not dates"),
     ],
 )
 def test_a_known_difference_is_named_and_no_other(apart: float, words: str) -> None:

@@ -263,5 +263,8 @@ def test_a_stream_is_whole_or_not_there_and_needs_a_file(tmp_path: Path) -> None
         assert not path.exists()
     assert path.read_bytes() == b"headend"
     assert [*path.parent.iterdir()] == [path]
-    with pytest.raises(UsageError, match="is no file"), files.stream_atomically(Path(os.devnull)):
+    with (
+        pytest.raises(UsageError, match="is not a regular file"),
+        files.stream_atomically(Path(os.devnull)),
+    ):
         pass

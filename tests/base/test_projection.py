@@ -51,8 +51,8 @@ def test_the_words_say_what_30_m_become() -> None:
         (2048, "west and south"),
         (3031, "north and north"),
         (27572, "Paris"),
-        (999_999, "in no register"),
-        (2**53, "in no register"),
+        (999_999, "in no database"),
+        (2**53, "in no database"),
     ],
 )
 def test_systems_that_are_no_frame_for_a_site_are_refused(epsg: int, reason: str) -> None:
@@ -85,11 +85,11 @@ def test_a_system_that_bends_angles_reports_it_and_by_how_much() -> None:
 
 def test_a_place_that_a_system_is_not_meant_for_is_reported() -> None:
     # Norway uses zone 33 as far as Bergen.
-    assert "not meant for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
-    assert "not meant for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
+    assert "not intended for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
+    assert "not intended for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
     frame = world.tangent_frame(28992, np.array([[470_000.0, 690_000.0, 0.0]]))
     assert frame.geodetic is not None
-    assert "are its coordinates right" in projection.grid_at(28992, frame.geodetic.array).words
+    assert "are the coordinates right" in projection.grid_at(28992, frame.geodetic.array).words
 
 
 def test_coordinates_that_only_swapped_lie_where_a_system_is_used_are_refused() -> None:

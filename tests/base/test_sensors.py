@@ -199,9 +199,9 @@ def test_a_file_may_describe_a_model_that_is_not_known(tmp_path: Path) -> None:
     [
         ("", "missing required field"),
         ("x = ", "front.toml"),
-        ('like = "XT3"', "no sensor is called 'XT3'"),
-        ('like = "front.toml"', "no sensor is called 'front'"),
-        ("like = 3", "no sensor is called '3'"),
+        ('like = "XT3"', "no sensor is named 'XT3'"),
+        ('like = "front.toml"', "no sensor is named 'front'"),
+        ("like = 3", "no sensor is named '3'"),
         (LIKE + "nose_m = 1.0", "nose_m"),
         (LIKE + "noise_m = nan", "above zero"),
         (LIKE + "range_m = [5.0, 1.0]", "above zero"),

@@ -43,7 +43,7 @@ def test_a_frame_without_a_place_keeps_its_offset_exactly() -> None:
     T = pose(1)
     np.testing.assert_array_equal(world.pose_in_frame(frame, T)[:3, :3], T[:3, :3])
     assert world.heading(frame, T) is None
-    with pytest.raises(UsageError, match="nothing ties the frame"):
+    with pytest.raises(UsageError, match="has no known position on the earth"):
         world.geodetic(frame, full)
 
 
@@ -73,7 +73,7 @@ def test_headings_count_from_north_by_east() -> None:
 @pytest.mark.parametrize("latitude", [2.0, -1.6, float("nan")])
 def test_an_origin_that_is_no_place_is_refused(latitude: float) -> None:
     frame = replace(ENU, geodetic=Geodetic(latitude, 0.0, 0.0))
-    with pytest.raises(UsageError, match="no place on earth"):
+    with pytest.raises(UsageError, match="outside the valid range"):
         world.geodetic(frame, np.zeros((1, 3)))
 
 

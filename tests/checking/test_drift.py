@@ -326,6 +326,6 @@ def test_sensors_tell_where_each_cloud_is_of_the_other() -> None:
     placement = Placement(Scan(pair.source), Scan(pair.target))
     reason = swapped_sensors(placement, right)
     assert reason is not None
-    assert "give them the other way round" in reason.message
+    assert "exchange them" in reason.message
     assert swapped_sensors(placement, (right[0], None)) is None
     assert swapped_sensors(Placement(Scan(pair.source), Scan(pair.source)), wrong) is None

@@ -213,7 +213,7 @@ def test_ambiguous_is_no_dead_end(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "r" / "result.json").read_text())["config"]["hypothesis"] == right
     done = retropole_here("calibrate", *files, "--hypothesis", "z", "--out", tmp_path / "r")
     assert done.returncode == 2
-    assert "those that do are a, b, c, d" in done.stderr
+    assert "those that fit are a, b, c, d" in done.stderr
 
 
 def test_topics_that_cannot_be_distinguished(bag: Path, tmp_path: Path) -> None:
@@ -312,7 +312,7 @@ def test_without_poles_the_place_gives_the_pose(scene: Path, tmp_path: Path) -> 
     assert "Without poles, the ground of one" in (tmp_path / "report.html").read_text()
     done = retropole_here("calibrate", *files, "--poles", 0, "--no-refine")
     assert done.returncode == 2
-    assert "the scene must give the pose" in done.stderr
+    assert "the scene must determine the pose" in done.stderr
 
 
 def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
@@ -324,10 +324,10 @@ def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("calibrate", "a", "b", "--carried", "--plan", "p"), "--plan is of standing poles"),
-        (("calibrate", "a", "b", "--carried", "--up"), "there is no use for up"),
+        (("calibrate", "a", "b", "--carried", "--plan", "p"), "--plan is for fixed poles"),
+        (("calibrate", "a", "b", "--carried", "--up"), "up cannot be used with"),
         (("simulate", "street", "--carried", "--poles", "3"), "without --poles"),
-        (("simulate", "street", "--lidars", "3"), "--lidars is with --carried"),
+        (("simulate", "street", "--lidars", "3"), "--lidars needs --carried"),
         (("simulate", "street", "--sweeps", "300"), "200 at most without --carried"),
         (("simulate", "paper", "--carried"), "no walk in 'paper'"),
     ],

@@ -32,7 +32,7 @@ def test_four_poles_are_tested(four: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("verdict: pass\n")
     assert "all 6 differences within their limits" in done.stdout
-    assert "not named" not in done.stdout
+    assert "is not given" not in done.stdout
     unnamed = retropole_here("certify", *files, "--json")
     assert unnamed.returncode == 0
     document = json.loads(unnamed.stdout)
@@ -77,4 +77,4 @@ def test_every_pair_of_a_site_file_is_tested(four: Path) -> None:
     assert json.loads(of_folder.stdout)["status"] == "pass"
     other = retropole_here("certify", four / "site.toml", "--radius", "0.03")
     assert other.returncode == 2
-    assert "--radius: the site file says so itself" in other.stderr
+    assert "--radius: the site file already gives it" in other.stderr

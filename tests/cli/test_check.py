@@ -52,7 +52,7 @@ def test_exit_codes_and_words(site: Path) -> None:
     assert "recordings_of_result" not in text
     code, text = run(site, "r", "first")
     assert code == 0, text
-    assert "recordings_of_result: RESULT was made of these very recordings" in text
+    assert "recordings_of_result: RESULT was computed from these recordings" in text
     assert run(site, "r", "missing") == (2, "")
     assert run(site, "missing", "same") == (2, "")
     assert run(site, "r", "same", "--sigma-deg", "1")[0] == 2

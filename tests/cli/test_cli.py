@@ -79,7 +79,7 @@ def test_a_number_beyond_its_bounds_is_bad_usage(
 def test_a_radius_in_millimetres_is_reported(command: tuple[str, ...]) -> None:
     done = retropole_here(*command, "--radius", "20")
     assert done.returncode == 2
-    assert "20 m is no pole; 20 mm? give 0.02" in done.stderr
+    assert "20 m is not the radius of a pole; 20 mm? give 0.02" in done.stderr
 
 
 def paths(command: click.Command, *names: str) -> Iterator[tuple[str, ...]]:

@@ -51,7 +51,7 @@ def test_files_of_the_result_the_other_way_round_are_reported(scene: Path, tmp_p
         done = retropole_here("evaluate", *clouds[::-1], "--transform", result)
         assert done.returncode == 2
         assert "TARGET and SOURCE are swapped" in done.stderr
-        assert "give them the other way round" in done.stderr
+        assert "exchange them" in done.stderr
     assert retropole_here("evaluate", *clouds, "--transform", tmp_path).returncode == 0
 
 

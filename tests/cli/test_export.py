@@ -146,7 +146,7 @@ def test_no_format_takes_a_base_for_a_lidar(
     where = ("--into", out) if fmt == "into" else ("--to", fmt, "--out", out)
     done = export(path, *where, "--parent", names[0], "--child", names[1])
     assert done.returncode == 2
-    assert "is by its name no LiDAR" in done.stderr
+    assert "is not the name of a LiDAR frame" in done.stderr
     assert out.read_text() == TWO_ON_A_BASE
 
 
@@ -175,7 +175,7 @@ def test_a_mounting_is_needed_once(tmp_path: Path) -> None:
     file.write_text(TWO_ON_A_BASE)
     for words, reason in (
         (("--into", file, "--mounting", file), "the robot holds it"),
-        (("--to", "mcap", "--out", tmp_path / "x", "--mounting", file), "has the LiDARs alone"),
+        (("--to", "mcap", "--out", tmp_path / "x", "--mounting", file), "has only the LiDARs"),
         (("--to", "json", "--mounting", file), "2 transforms fit"),
         (("--to", "json", "--mounting", file, "--parent", "left"), "0 transforms fit"),
     ):
@@ -195,7 +195,7 @@ def test_help_names_no_base_as_a_lidar() -> None:
     [
         ((), "--to is needed"),
         (("--to", "toml"), "toml"),
-        (("--to", "json", "--into", "robot.urdf"), "--into takes a joint"),
+        (("--to", "json", "--into", "robot.urdf"), "--into writes a joint"),
         (("--to", "json", "--parent", "a", "--child", "a"), "must differ"),
         (("--to", "json", "--from", "yaml"), "expected the YAML"),
         (("--into", "missing.urdf"), "missing.urdf"),

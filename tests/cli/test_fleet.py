@@ -54,7 +54,7 @@ def test_what_it_says(fleet: Path, tmp_path: Path) -> None:
     [
         (("nothing.csv",), "no such file or folder"),
         (("{0}", "--workers", 2, "--scheduler", "tcp://a:1"), "not both"),
-        (("{0}", "{0}"), "is there twice"),
+        (("{0}", "{0}"), "appears twice"),
         (("{0}", "--time-limit", 0), "--time-limit"),
     ],
 )
@@ -78,11 +78,11 @@ def test_the_report_is_made_with_it_and_again(fleet: Path, tmp_path: Path) -> No
     assert again.read_bytes() == page.read_bytes()
     none = retropole_here("fleet", "report", tmp_path, "--out", again)
     assert none.returncode == 2
-    assert "is no dataset of a fleet" in none.stderr
+    assert "is not a dataset of a fleet" in none.stderr
     assert "fleet calibrate --out" in none.stderr
     none = retropole_here("fleet", "report", out, "--history", tmp_path / "no", "--out", again)
     assert none.returncode == 2
-    assert "no: is no history of 'retropole fleet check'" in none.stderr
+    assert "no: is not a history of 'retropole fleet check'" in none.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the system has no SIGINT for one process")

@@ -72,7 +72,7 @@ def test_a_site_that_changed_ends_with_its_own_code(
     done = retropole_here(*words)
     assert done.returncode == 4
     assert "good: step since 2020-08-" in done.stdout
-    assert "not confirmed: another check will decide" in done.stdout
+    assert "not confirmed yet: another check decides" in done.stdout
     told = json.loads(retropole_here(*words, "--json").stdout)
     (event,) = told["changed"]
     assert (event["id"], event["kind"], event["new"]) == ("good", "step", False)
@@ -125,7 +125,7 @@ def test_nothing_reported_is_not_nothing_found(fleet: Path, answers: Path, tmp_p
     [
         (("nothing.csv",), "no such file or folder"),
         (("{0}", "--workers", 2, "--scheduler", "tcp://a:1"), "not both"),
-        (("{0}", "--answers", "{1}"), "is no dataset"),
+        (("{0}", "--answers", "{1}"), "is not a dataset"),
         (("{0}", "--time-limit", 0), "--time-limit"),
     ],
 )

@@ -82,7 +82,7 @@ def test_components_that_are_many_are_counted(tmp_path: Path) -> None:
     )
     lines = done.stdout.splitlines()
     assert done.returncode == 0
-    assert lines[1] == "2 poses: no control: pose s0s is held"
+    assert lines[1] == "2 poses: no control points: pose s0s is fixed"
     assert lines[-2] == "and 2 components more"
     assert len(lines) == 13
 

@@ -21,7 +21,7 @@ def test_a_result_is_levelled(tmp_path: Path) -> None:
     at_once = json.loads((out / "level.json").read_text())["lidars"]
     done = retropole_here("level", out, "--base-link", "1.2,0.3,10")
     assert done.returncode == 0, done.stderr
-    assert "plumb line" in done.stdout
+    assert "Relative to the vertical" in done.stdout
     document = json.loads((out / "level.json").read_text())
     assert document["schema"] == "retropole/level/1"
     assert [each["height_m"] for each in document["lidars"]] == [e["height_m"] for e in at_once]

@@ -66,7 +66,7 @@ def test_an_open_box_keeps_the_rest(tmp_path: Path) -> None:
     [
         ((), "-o is needed"),
         (("--recording", "front"), "expected NAME=VALUE"),
-        (("--recording", "a=1", "--recording", "a=2"), "each LiDAR once"),
+        (("--recording", "a=1", "--recording", "a=2"), "once for each LiDAR"),
         (("front.pcd", "rear.pcd", "--recording", "target=front.pcd", "-o", "a.ply"), "not both"),
         (("front.pcd", "-o", "a.ply"), "1 clouds are given"),
     ],

@@ -54,7 +54,7 @@ def test_every_number_of_every_command_has_bounds_that_an_error_names() -> None:
         (("watch", "folder:.", f"velodyne:{'9' * 5000}"), "a number from 1 to 65535"),
         (("watch", "folder:.", f"velodyne:{'9' * 10}"), "expected 1 to 65535"),
         (("watch", "folder:.", "velodyne:1", "--from", "x"), "expected an IP address"),
-        (("watch", "folder:.", "folder:..", "--from", "1.2.3.4"), "who sends packets"),
+        (("watch", "folder:.", "folder:..", "--from", "1.2.3.4"), "the sender of packets"),
     ],
 )
 def test_a_number_in_a_word_has_bounds_too(words: tuple[str, ...], said: str) -> None:
@@ -142,8 +142,8 @@ def test_an_option_of_both_is_given_once_or_twice_or_as_before(
     ("words", "said"),
     [
         (("--sensor", "a", "--sensor", "b", "--sensor", "c"), "one value for both LiDARs"),
-        (("--sensor", "a", "--sensor-target", "b"), "--sensor is for TARGET"),
-        (("--unit", "m", "--unit", "mm", "--unit-source", "ft"), "--unit is for TARGET"),
+        (("--sensor", "a", "--sensor-target", "b"), "--sensor can be given twice"),
+        (("--unit", "m", "--unit", "mm", "--unit-source", "ft"), "--unit can be given twice"),
         (("--threshold", "1,5"), "'1,5' is no number"),
         (("--unit", "m,mm"), "'m,mm'"),
     ],

@@ -57,7 +57,7 @@ def test_after_an_error_the_older_result_has_another_name(
     done = retropole_here("calibrate", *words, *where)
     assert done.returncode == 2
     assert contents(out) == SET_ASIDE
-    assert "no result of this run; the one before is now" in done.stderr
+    assert "no result of this run; the previous one is now" in done.stderr
     assert "older-result.json" in done.stderr
     # Nothing is left to set aside: the older one stays.
     again = retropole_here("calibrate", *words, *where)
@@ -150,7 +150,7 @@ def test_what_is_interrupted_leaves_none_of_a_run_before(
     with pytest.raises(KeyboardInterrupt), run_in(out):
         raise KeyboardInterrupt
     assert contents(out) == SET_ASIDE
-    assert "no result of this run; the one before is now" in capfd.readouterr().err
+    assert "no result of this run; the previous one is now" in capfd.readouterr().err
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -167,7 +167,7 @@ with run_alone(out), _without_older(out, ["result.json", "report.html"]):
 """
     done = subprocess.run([sys.executable, "-c", script, out], capture_output=True, text=True)
     assert done.returncode == 143
-    assert f"the one before is now {out / 'older-result.json'} and" in done.stderr
+    assert f"the previous one is now {out / 'older-result.json'} and" in done.stderr
     assert done.stderr.endswith("retropole: terminated\n")
     assert contents(out) == SET_ASIDE
 

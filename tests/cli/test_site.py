@@ -38,7 +38,7 @@ def test_a_folder_becomes_a_site_that_is_read(tmp_path: Path) -> None:
     before = (tmp_path / "site.toml").read_text()
     again = retropole_here("site", "init", tmp_path)
     assert again.returncode == 2
-    assert "is there already; --force replaces it" in again.stderr
+    assert "exists already; --force replaces it" in again.stderr
     assert "'retropole site init --help'" in again.stderr
     assert retropole_here("site", "init", tmp_path, "--force", "-q").returncode == 0
     assert (tmp_path / "site.toml").read_text() == before

@@ -117,7 +117,7 @@ class TestUnits:
         files = tmp_path / "0.pcd", tmp_path / "1.pcd"
         done = retropole_here("info", files[1])
         assert "farther than a OS1 sees; read as feet it shows 2 poles" in done.stdout
-        assert "read them with --unit ft, here and in every command" in done.stdout
+        assert "read them with --unit ft, in this and every other command" in done.stdout
         message = check_refused(calibrate(tmp_path / "o", *files), tmp_path / "o", "too_few_poles")
         assert "(--unit ft), or the poles are" in message
         assert calibrate(tmp_path / "o", *files, "--unit", "ft").returncode == 0
@@ -166,7 +166,7 @@ class TestUnits:
     def test_a_unit_that_is_not_theirs(self, scene: Path, tmp_path: Path) -> None:
         done = calibrate(tmp_path, scene / "lidar0.pcd", scene / "lidar1.pcd", "--unit", "mm")
         message = check_refused(done, tmp_path, "wrong_unit")
-        assert "the unit that was given is not theirs" in message
+        assert "the given unit is wrong" in message
 
     def test_las_in_map_coordinates(self, clouds: Clouds, tmp_path: Path) -> None:
         laspy = pytest.importorskip("laspy")
@@ -180,8 +180,11 @@ class TestUnits:
         done = calibrate(tmp_path, tmp_path / "0.las", tmp_path / "1.las")
         message = check_refused(done, tmp_path, "far_from_lidar")
         for words in (info, message):
-            assert "a LAS file does not say where the LiDAR was, so beams have no origin" in words
-            assert "subtract the LiDAR's place from all points" in words
+            assert (
+                "a LAS file does not store where the LiDAR was, so that the origin of the beams "
+                "is unknown" in words
+            )
+            assert "subtract the LiDAR's position from all points" in words
 
 
 class TestSensors:
@@ -199,8 +202,8 @@ def test_target_and_source_swapped_in_check(
 ) -> None:
     done = retropole_here("check", in_millimetres, millimetres / "1.pcd", millimetres / "0.pcd")
     assert done.returncode == 3
-    assert "TARGET and SOURCE are swapped: RESULT was made of these very files" in done.stdout
-    assert "give them the other way round" in done.stdout
+    assert "TARGET and SOURCE are swapped: RESULT was computed from these files" in done.stdout
+    assert "exchange them" in done.stdout
     assert "moved" not in done.stdout
     # It is told before the clouds are read: of these, nothing is said of their unit or size.
     assert done.stderr == ""

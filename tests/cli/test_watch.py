@@ -84,7 +84,7 @@ def test_sweeps_without_a_frame_are_not_published(recorded: Path, tmp_path: Path
     words = ("--publish", "--interface", "lo", "--domain", "77", "--no-page", "--out", out)
     done = retropole_here("watch", *sources(recorded), *words)
     assert done.returncode == 2
-    assert "name no frame" in done.stderr
+    assert "have no frame_id" in done.stderr
     assert not (out / "result.json").exists()
 
 
@@ -122,11 +122,11 @@ def test_the_page_shows_the_state_and_an_interrupt_ends_it(tmp_path: Path) -> No
 def test_slips_are_usage_errors(tmp_path: Path) -> None:
     folder = f"folder:{tmp_path}"
     for words, said in (
-        (("a.pcd", "b.pcd"), "no source"),
+        (("a.pcd", "b.pcd"), "not a source"),
         ((folder, folder), "two sources"),
         ((folder, "folder:nowhere"), "nowhere"),
         ((folder, "replay:nowhere.bag"), "nowhere.bag"),
-        ((folder, "velodyne:0x1"), "no port"),
+        ((folder, "velodyne:0x1"), "not a port"),
         ((folder, "ros2:/a", "--interface", "nowhere0"), "no network interface"),
         ((folder, f"{folder}/..", "--at-m", "30"), "give both"),
         ((folder, f"{folder}/..", "--name", "a", "a"), "same name"),

@@ -69,5 +69,5 @@ def test_points_of_a_projected_site_are_their_grid_coordinates() -> None:
 
 @pytest.mark.parametrize("document", [sites.free, sites.on_plan])
 def test_a_frame_that_is_nowhere_on_earth_has_no_map(document: Any) -> None:
-    with pytest.raises(UsageError, match="nothing ties the frame"):
+    with pytest.raises(UsageError, match="has no known position on the earth"):
         write_geojson(tree_of(document()))

@@ -60,7 +60,7 @@ def test_a_launch_file_in_xml_has_its_publishers(what: str, name: str, tmp_path:
     [
         (f'pkg="tf" type="{PROGRAM}" args="{XYZ} {YPR} a b"', "9 or 10 arguments, this has 8"),
         (f'pkg="tf2_ros" type="{PROGRAM}" args="{XYZ} {QUATERNION} a b 100"', "8 or 9 arguments"),
-        (f'pkg="tf" type="{PROGRAM}" args="$(arg x) 0 0 0 0 0 a b 100"', "hold $(…)"),
+        (f'pkg="tf" type="{PROGRAM}" args="$(arg x) 0 0 0 0 0 a b 100"', "contain $(…)"),
         (f'pkg="tf" type="{PROGRAM}" args="0 0 0 0 0 0 a \'b 100"', "No closing quotation"),
         (f'pkg="tf" type="{PROGRAM}"', "this has 0"),
         ('pkg="rviz" type="rviz"', "0 transforms fit"),

@@ -56,14 +56,14 @@ def test_what_calibrate_prints_is_read_back(verbose: bool, tmp_path: Path) -> No
     transform = read(text, tmp_path)
     assert result.T_target_source is not None
     np.testing.assert_allclose(transform.T_parent_child, result.T_target_source, atol=1e-8)
-    with pytest.raises(UsageError, match="no LiDAR"):
+    with pytest.raises(UsageError, match="not the name of a LiDAR"):
         read_transform(tmp_path / "t.txt", parent="base_link")
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("1.5 0 0 0 0 0.3", "this has 6; a pose of 6 or 7 numbers is read with their names"),
+        ("1.5 0 0 0 0 0.3", "this has 6; a pose of 6 or 7 numbers is read if each has a name"),
         ("[[1, 0], [0, 1]]", "16 numbers, this has 4"),
         ("[[nan 0 0 0]\n [0 1 0 0]\n [0 0 1 0]\n [0 0 0 1]]", "1 entries not finite"),
         ("translation x 0.0 y 1.0", "'translation'|16 numbers"),
@@ -164,7 +164,7 @@ def test_of_tf2_echo_the_quaternion_is_taken_where_tf2_loses_an_angle(tmp_path: 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (echoed(T) + echoed(se3.inverse(T)), "2 different transforms: this one moves"),
+        (echoed(T) + echoed(se3.inverse(T)), "2 different transforms: this transform changes"),
         ("(degree)".join([echoed(T).split("(degree)")[0], " [1.000, 2.000, 3.000]"]), "differ by"),
         (echoed(T).split("- Rotation")[0], "expected Translation"),
         ("Translation: [1, 2, 3]\nQuaternion [0, 0, 0.9, 0.9]", "norm"),

@@ -148,7 +148,7 @@ def test_a_lidar_is_not_named_as_a_robot_s_base(name: str, tmp_path: Path) -> No
     path.write_bytes(with_frames("", ""))
     for given in (name, f"car/{name}"):
         for names in ({"parent": given}, {"child": given}):
-            with pytest.raises(UsageError, match=r"is by its name no LiDAR.*--mounting"):
+            with pytest.raises(UsageError, match=r"is not the name of a LiDAR frame.*--mounting"):
                 read_transform(path, **names)
     assert read_transform(path, parent=f"{name}_lidar", child="rear").parent == f"{name}_lidar"
     # What a file of another program is of is for that program to say.
@@ -234,5 +234,5 @@ def test_every_format_takes_and_gives_a_mounting(fmt: str, tmp_path: Path) -> No
 def test_a_mounting_names_its_frames(tmp_path: Path) -> None:
     path = tmp_path / "mounting.txt"
     np.savetxt(path, np.eye(4))
-    with pytest.raises(UsageError, match=r"mounting\.txt: does not name the frames"):
+    with pytest.raises(UsageError, match=r"mounting\.txt: does not give the names of the frames"):
         read_mounting(path, "front")

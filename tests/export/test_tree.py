@@ -138,7 +138,7 @@ def test_a_result_is_read_for_two_named_frames(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="name both frames"):
         read_transform(path)
     (tmp_path / "result.json").write_text("{}")
-    with pytest.raises(UsageError, match="name one of them"):
+    with pytest.raises(UsageError, match="give one of them"):
         read_tree(tmp_path)
     assert read_tree(tmp_path / "result.json") is None
 
@@ -217,9 +217,9 @@ def test_the_recording_holds_the_whole_tree_for_late_listeners() -> None:
 @pytest.mark.parametrize(
     ("transforms", "reason"),
     [
-        (None, "no list of objects"),
-        ({}, "no list of objects"),
-        ([1], "no list of objects"),
+        (None, "not a list of objects"),
+        ({}, "not a list of objects"),
+        ([1], "not a list of objects"),
         ([{}], "expected one of the keys"),
         ([{"T_parent_child": [[1]], "parent": "a", "child": "b"}], "no rigid transform"),
         ([{"T_parent_child": np.eye(4).tolist(), "parent": 1, "child": "b"}], "not a name"),
@@ -239,7 +239,7 @@ def test_a_frame_that_no_map_can_hold_is_refused() -> None:
     with pytest.raises(ReadError, match="beyond"):
         tree_of(msgspec.structs.replace(document, frame=frame))
     frame = msgspec.structs.replace(sites.in_utm().frame, epsg=1)
-    with pytest.raises(UsageError, match="in no register"):
+    with pytest.raises(UsageError, match="in no database"):
         tree_of(msgspec.structs.replace(document, frame=frame))
 
 

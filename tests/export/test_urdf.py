@@ -221,7 +221,7 @@ SECOND = '<joint name="k" type="fixed"><parent link="base"/><child link="rear"/>
             Transform(T, "top", "roof"),
             "no link 'top'.*3: base, front, rear",
         ),
-        ("</robot>", "</robot>", Transform(T, "rear", "base"), "circle.*--invert"),
+        ("</robot>", "</robot>", Transform(T, "rear", "base"), "loop.*--invert"),
         (
             'name="j1"   ',
             'name="roof_joint" ',

@@ -21,7 +21,7 @@ def test_poles_beyond_the_most_of_one_group_are_named(monkeypatch: pytest.Monkey
     found = extract_poles(cloud)
     (rest,) = found.rejected
     assert len(found.poles) == 1
-    assert rest.reason == f"{len(rest.index)} points left after 1 poles, more are not looked for"
+    assert rest.reason == f"{len(rest.index)} points left after 1 poles, no more are searched for"
 
 
 @pytest.mark.parametrize("apart", [False, True])
@@ -31,7 +31,7 @@ def test_few_points_left_by_several_poles_are_too_few(apart: bool) -> None:
     parts = [np.arange(4), np.arange(4, 9)] if apart else [np.arange(9)]
     failure = line_search.why_left(left, parts)
     assert failure.code == "too_few_points"
-    assert failure.reason.startswith("no 6 points together" if apart else "6 points left")
+    assert failure.reason.startswith("no 6 points close together" if apart else "6 points left")
 
 
 @pytest.mark.parametrize(("width", "is_saturated"), [(0.5, False), (1.5, True)])

@@ -129,7 +129,7 @@ def test_without_rings_what_the_sensor_does_not_see_is_doubted() -> None:
     cloud = replace(cloud_of("PandarQT"), ring=None)
     check_sensor(cloud, SENSORS["VLP-16"])
     doubt = sensor_doubt(cloud, SENSORS["VLP-16"])
-    assert "outside of what the VLP-16 sees (-15.0° to 15.0°)" in doubt
+    assert "outside the field of view of the VLP-16 (-15.0° to 15.0°)" in doubt
 
 
 @pytest.mark.full

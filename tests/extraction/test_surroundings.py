@@ -498,7 +498,7 @@ def level_rows() -> tuple[PointCloud, Line]:
 def test_a_line_along_the_rings_is_no_pole() -> None:
     code, reason = failed(level_rows())
     assert code == "along_a_beam"
-    assert "beams sweep" in reason
+    assert "sweep of the beams" in reason
 
 
 @pytest.mark.parametrize("end", [-1, 1])

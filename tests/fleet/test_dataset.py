@@ -100,7 +100,7 @@ def test_a_partition_follows_from_the_id_alone() -> None:
 def test_a_site_has_one_row_in_its_own_partition(tmp_path: Path) -> None:
     for rows in ([EMPTY, EMPTY], [msgspec.structs.replace(EMPTY, id="elsewhere")]):
         write_partition(str(tmp_path), "part-00.parquet", rows, [])
-        with pytest.raises(ReadError, match="a site is there twice, or in another's"):
+        with pytest.raises(ReadError, match="a site appears twice, or in the place"):
             known_answers(str(tmp_path))
 
 
@@ -130,7 +130,7 @@ def test_a_partition_of_a_newer_version_is_kept(tmp_path: Path) -> None:
     table = pq.read_table(path)
     pq.write_table(table.replace_schema_metadata({"schema": "retropole/fleet/2"}), path)
     with pytest.raises(
-        NewerError, match=r"part-00\.parquet: schema 'retropole/fleet/2' is of a newer"
+        NewerError, match=r"part-00\.parquet: schema 'retropole/fleet/2' is from a newer"
     ):
         known_answers(str(tmp_path))
 

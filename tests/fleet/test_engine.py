@@ -250,7 +250,7 @@ def test_a_scheduler_that_stays_away_ends_it(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(engine, "ANSWER_WITHIN", 0.5)
     cluster = Cluster({})
     cluster.status = "connecting"
-    with pytest.raises(RetropoleError, match="the same command goes on"):
+    with pytest.raises(RetropoleError, match="the same command continues"):
         list(outcomes(cluster, tasks("a")))
     with (
         pytest.raises(UsageError, match="no Dask scheduler answers"),

@@ -45,7 +45,7 @@ def test_columns_of_other_programs_are_taken_or_refused(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("x\n1\n", "no column 'id'"),
-        ("id,id\n1,2\n", "the column 'id' is there twice"),
+        ("id,id\n1,2\n", "the column 'id' appears twice"),
         ("id,y\n1,2\n", "unknown column 'y'"),
         ("id,x\n1\n", "line 2 has not as many cells"),
     ],

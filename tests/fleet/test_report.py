@@ -235,7 +235,7 @@ def test_without_a_history_nothing_changes(watched: Path, tmp_path: Path) -> Non
     write_history(tmp_path / "moved", HISTORY)
     assert render_fleet(overview_of(str(watched))) == before
     assert len(overview_of(str(watched), str(tmp_path / "moved")).changed) == 3
-    with pytest.raises(ReadError, match="none: is no history of 'retropole fleet check'"):
+    with pytest.raises(ReadError, match="none: is not a history of 'retropole fleet check'"):
         overview_of(str(watched), str(tmp_path / "none"))
 
 
@@ -305,7 +305,7 @@ def test_what_others_wrote_stays_text() -> None:
 
 def test_without_answers_or_places_it_reports_it() -> None:
     page = Page(render_fleet(of_sites(seen("a", status="refused", sigma_30m_m=None))))
-    assert "No site says where it is" in page.text
+    assert "No site has a position" in page.text
     assert "No site has an answer" in page.text
     assert "all are ok" not in page.text.replace("No site has a reason: all are ok.", "")
     assert not [tag for tag, _ in page.tags if tag == "svg"]
@@ -334,7 +334,7 @@ def test_ten_thousand_sites_stay_small() -> None:
 
 
 def test_what_is_no_dataset_is_an_error(city: Path, tmp_path: Path) -> None:
-    with pytest.raises(ReadError, match="is no dataset of a fleet"):
+    with pytest.raises(ReadError, match="is not a dataset of a fleet"):
         overview_of(str(tmp_path))
     row = made_up_row(names_in_first(1)[0], np.random.default_rng(0))
     for changes in (
@@ -416,6 +416,6 @@ def test_what_is_not_drawn_or_named_is_reported(monkeypatch: pytest.MonkeyPatch)
     assert set(places(html)) == {"a", "b"}
     assert "3 sites." in html
     assert "1 site of unknown position not drawn" in html
-    assert "2 have their names" in html
+    assert "2 show their names" in html
     assert len(re.findall(r'<path d="M[\d]+ [\d]+h.01"/>', html)) == 1 + 1  # And of the legend.
     assert "svg" not in fleet_map([nowhere])

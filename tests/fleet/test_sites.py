@@ -106,9 +106,9 @@ def test_parquet_says_the_same_as_csv(tmp_path: Path) -> None:
         ("a,t,s,,x,", "radius_m"),
         ("a,t,,,,", "expected target and source, or site alone"),
         ("a,t,s,site.toml,,", "expected target and source, or site alone"),
-        ("a,,,site.toml,0.02,", "radius_m: of a site, its file says that"),
+        ("a,,,site.toml,0.02,", "radius_m: for a site, these are given in its file"),
         ("a,t,s,,,91", "latitude_deg"),
-        ("a,t,s,,,50", "need each other"),
+        ("a,t,s,,,50", "must be given together"),
     ],
 )
 def test_what_is_wrong_with_a_row_is_its_own_matter(tmp_path: Path, line: str, fault: str) -> None:
@@ -123,8 +123,8 @@ def test_what_is_wrong_with_a_row_is_its_own_matter(tmp_path: Path, line: str, f
     [
         (("id,target,source,radius", "a,b,c,1"), "unknown column 'radius', expected radius_m"),
         (("target,source", "a,b"), "no column 'id'"),
-        (("id,site,site", "a,b,c"), "there twice"),
-        (("id,site", "a,b", "a,c"), "the id 'a' is there twice"),
+        (("id,site,site", "a,b,c"), "appears twice"),
+        (("id,site", "a,b", "a,c"), "the id 'a' appears twice"),
         (("id,site", ",b"), "row 1, id"),
         (("id,site", "../a,b"), "row 1, id"),
         (("id,site", "a,b,c"), "line 2 has not as many cells"),

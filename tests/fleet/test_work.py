@@ -71,7 +71,7 @@ def test_a_site_at_a_url_has_its_recordings_below(far: dict[str, FleetSite]) -> 
     memory.pipe_file("/far/yard/site.toml", text)
     row = row_of(task_of(far["yard"]))
     assert (row.status, row.codes) == ("error", ["unreadable"])
-    assert "must lie in its folder or below" in row.messages[0]
+    assert "must be in its folder or below" in row.messages[0]
 
 
 def test_angles_that_a_site_file_names_are_brought_and_count(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_keys_of_cells_are_undone() -> None:
     cells = rng.integers(-HALF + 1, HALF, (1000, 3)) + anchor
     keys = cell_keys((cells + 0.5) * 0.25, 0.25, anchor, rng.integers(0, 32, 1000))
     np.testing.assert_array_equal(cells_at(keys, anchor), cells)
-    with pytest.raises(UsageError, match="take larger ones, or --crop"):
+    with pytest.raises(UsageError, match="use larger ones, or --crop"):
         cell_keys(np.array([[6e4, 0, 0]]), 0.1, np.zeros(3, np.int64))
 
 

@@ -24,8 +24,8 @@ from retropole.base.errors import Refusal
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.hypotheses import by_place
 from retropole.hypotheses.by_place import (
-    HELD,
-    align_by_place_where_open,
+    DETERMINED,
+    align_by_place_if_open,
     check_confirmed_by_surroundings,
     check_constrained,
     choose_by_place,
@@ -149,13 +149,13 @@ def test_a_pose_that_the_scene_holds_no_better_than_was_assumed_is_refused(
     assert refined.pose.covariance is not None
     for k in range(6):
         variance = np.diag(refined.pose.covariance).copy()
-        variance[k] = (1.1 * HELD * SURROUNDINGS_SIGMA[k]) ** 2
+        variance[k] = (1.1 * DETERMINED * SURROUNDINGS_SIGMA[k]) ** 2
         loose = PoseEstimate(T, np.diag(variance), 0.01)
-        with pytest.raises(Refusal, match="hold the pose to"):
+        with pytest.raises(Refusal, match="determine the pose only to"):
             check_constrained(paired, loose)
-    doubted = np.diag((2 * HELD * SURROUNDINGS_SIGMA) ** 2)
+    doubted = np.diag((2 * DETERMINED * SURROUNDINGS_SIGMA) ** 2)
     check_constrained(paired, PoseEstimate(T, doubted, 0.01), refined.held)
-    with pytest.raises(Refusal, match="hold the pose to"):
+    with pytest.raises(Refusal, match="determine the pose only to"):
         check_constrained(paired, PoseEstimate(T, 400 * doubted, 0.01), refined.held)
     two = replace(hypothesis, match=replace(hypothesis.match, by_place=False))
     check_constrained([PairedPlacement(placement, two)], None)
@@ -220,9 +220,9 @@ def test_two_poles_that_leave_the_pose_open_are_aligned_where_the_place_is() -> 
     match = Match(((0, 0), (1, 1)), pair.T_target_source, 0.0, True, True, np.eye(6))
     hypotheses = score_hypotheses(short.target.cloud, short.source.cloud, [match])
     chosen = Chosen(hypotheses, (PairedPlacement(short, hypotheses[0]),))
-    with pytest.raises(Refusal, match="leave the pose free"):
-        align_by_place_where_open(chosen, radius=0.02, radius_sigma=0.0, by_place=False)
-    again, aligned = align_by_place_where_open(chosen, radius=0.02, radius_sigma=0.0, by_place=True)
+    with pytest.raises(Refusal, match="determine the pose only to"):
+        align_by_place_if_open(chosen, radius=0.02, radius_sigma=0.0, by_place=False)
+    again, aligned = align_by_place_if_open(chosen, radius=0.02, radius_sigma=0.0, by_place=True)
     assert is_by_place(again.paired)
     assert_near(aligned.pose.T_target_source, pair.T_target_source, 1.0, 0.1)
 

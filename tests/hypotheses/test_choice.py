@@ -173,7 +173,7 @@ def test_a_letter_that_no_exact_hypothesis_has_is_an_error(
     pair, refused = symmetric
     inexact = next(k for k, h in enumerate(refused.hypotheses) if not h.match.exact)
     for name in (hypothesis_name(inexact), "z"):
-        with pytest.raises(UsageError, match="those that do are a, b, c, d"):
+        with pytest.raises(UsageError, match="those that fit are a, b, c, d"):
             calibrate(pair.target, pair.source, options=Options(by_hand=name))
 
 

@@ -25,7 +25,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
 from retropole.hypotheses import links as one_pole
-from retropole.hypotheses.by_place import HELD
+from retropole.hypotheses.by_place import DETERMINED
 from retropole.hypotheses.joint_choice import choose_poses
 from retropole.hypotheses.links import link_by_place
 from retropole.hypotheses.pairs import Pair
@@ -296,7 +296,7 @@ def test_without_the_pole_of_its_link_a_lidar_is_refused(steps: Steps) -> None:
 def test_a_pose_that_the_scene_holds_little_better_than_the_place_is_refused(steps: Steps) -> None:
     dependent = (Dependent(0, 1, np.eye(4), frozenset({1})),)
     T = np.stack([np.eye(4)] * 3)
-    for share, is_constrained in ((0.9 * HELD, True), (1.1 * HELD, False)):
+    for share, is_constrained in ((0.9 * DETERMINED, True), (1.1 * DETERMINED, False)):
         covariance = np.zeros((18, 18))
         covariance[6:12, 6:12] = np.diag((share * SURROUNDINGS_SIGMA) ** 2)
         if is_constrained:

@@ -229,7 +229,7 @@ def test_what_the_place_does_not_tell_is_refused(pair: SimulatedPair) -> None:
 
 
 def test_one_of_poles_and_scene_must_give_the_pose(pair: SimulatedPair) -> None:
-    with pytest.raises(UsageError, match="scene must give the pose"):
+    with pytest.raises(UsageError, match="scene must determine the pose"):
         calibrate(pair.target, pair.source, options=Options(poles=0, scene=False))
 
 

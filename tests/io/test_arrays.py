@@ -106,7 +106,7 @@ class TestExports:
     def test_columns_of_a_pts_that_are_no_colours_are_no_guess(self, tmp_path: Path) -> None:
         for row in ("1 2 3 200 100 50 0.5", "1 2 3 4 5 256", "1 2 3 4 5 6 -7"):
             (tmp_path / "a.pts").write_text(f"{row}\n")
-            with pytest.raises(ReadError, match="no colours from 0 to 255"):
+            with pytest.raises(ReadError, match="not colours from 0 to 255"):
                 read_cloud(tmp_path / "a.pts")
 
     def test_an_intensity_that_is_missing_is_the_lowest(self, tmp_path: Path) -> None:

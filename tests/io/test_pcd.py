@@ -178,7 +178,7 @@ def test_points_are_read_where_width_and_height_are_not_reported(
     (tmp_path / "a.pcd").write_bytes(data.replace(b"HEIGHT 1", b"HEIGHT " + height))
     cloud = read_cloud(tmp_path / "a.pcd")
     np.testing.assert_array_equal(cloud.xyz, np.tile(XYZ, (20, 1)))
-    said = "WIDTH {} and HEIGHT {} are passed over: POINTS is 60".format(*shape)
+    said = "WIDTH {} and HEIGHT {} are ignored: POINTS is 60".format(*shape)
     assert cloud.notes == (said,)
     huge = data.replace(b"HEIGHT 1", b"HEIGHT 0").replace(b"POINTS 60", b"POINTS 1000000000000")
     (tmp_path / "a.pcd").write_bytes(huge)

@@ -102,7 +102,7 @@ def test_of_a_plan_x_and_y_are_its_axes_of_a_map_they_are_not_known(tmp_path: Pa
 @pytest.mark.parametrize(
     ("data", "columns", "words"),
     [
-        (TRIMBLE, None, 'no line names its columns.*"id, e, n, h" or "id, n, e, h"'),
+        (TRIMBLE, None, 'no line has the names of columns.*"id, e, n, h" or "id, n, e, h"'),
         (LEICA, "id, n, e, h", "line 1: names the columns; leave columns out"),
         (TRIMBLE, "id, n, e", "has no column h"),
         (EMLID.replace(b"P1f", b"P2f"), None, "has no point P1f, expected one of its P2f, base"),
@@ -118,7 +118,7 @@ def test_of_a_plan_x_and_y_are_its_axes_of_a_map_they_are_not_known(tmp_path: Pa
         (b"id,e,n,h,E\nP1f,1,2,3,4\n", None, "has two columns E"),
         (b"Name,Latitude,Longitude,Height\nP1f,50.1,9.2,120\n", None, "line 1: names latitude and"),
         (b"", None, "is empty"),
-        (b"\xff\xfe", None, "no line names its columns"),
+        (b"\xff\xfe", None, "no line has the names of columns"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(

@@ -4,7 +4,7 @@ import pytest
 
 from retropole.base import se3
 from retropole.planning.comparison import against_plan
-from retropole.planning.words import plan_document
+from retropole.planning.plan_text import plan_document
 from retropole.result import PoleDoc
 from retropole.result.pole_plan import PolePlanDoc
 from tests.planning.places import planned

@@ -244,5 +244,5 @@ def test_sweeps_are_counted_where_it_takes_long_to_search_one() -> None:
     words = "skipped 78 of 80 sweeps of rear: this computer decodes and searches 0.25 a second"
     assert now.skipped == words
     # Of one that is silent nothing is said.
-    watched.view = View("rear", silent="no packet came")
+    watched.view = View("rear", silent="no packet received")
     assert not seen_now(watched, 14.5).skipped

@@ -54,7 +54,7 @@ def test_masts_are_too_high_for_thin_poles() -> None:
     assert refusal.value.code == "nowhere_seen"
     nearest = refusal.value.values["nearest_m"]
     assert isinstance(nearest, float)
-    assert f"take poles of {np.ceil(2e3 * nearest / FAR):.0f} mm or thicker" in str(refusal.value)
+    assert f"use poles of {np.ceil(2e3 * nearest / FAR):.0f} mm or thicker" in str(refusal.value)
 
 
 drawn_inputs = st.fixed_dictionaries(

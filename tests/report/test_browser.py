@@ -123,7 +123,7 @@ def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path
     wrong = browser.picture()
     assert red(wrong) > 0.002
     assert red(right) < red(wrong) / 10
-    assert "Red: stands where the other LiDAR looked through." in browser.find("#state").text
+    assert "Red: in space that the other LiDAR saw to be empty." in browser.find("#state").text
     browser.press("c")
     button = browser.find('[data-layer="contradicting"]')
     assert button.get_attribute("aria-pressed") == "false"

@@ -93,7 +93,7 @@ def test_the_page_says_the_verdict_and_asks_for_nothing() -> None:
     assert "rear <b>" not in page
     assert "default-src 'none'" in page
     assert "$" not in page.partition("<main")[2].partition("</main>")[0]
-    assert "Refused: too little to tell" in render_field_test(document(REFUSED))
+    assert "Refused: too few data" in render_field_test(document(REFUSED))
     alone = render_field_test(document(made_up()))
     assert "Pass: the LiDARs measure as stated" in alone
     assert "What to do" in render_field_test(document(REFUSED))

@@ -126,8 +126,8 @@ def test_what_a_pair_says_alone() -> None:
     assert words == [
         "linked through others",
         "decides by itself",
-        "leaves 2 ways, others decide",
-        "no answer of its own",
+        "leaves 2 ways, decided by others",
+        "no separate answer",
         "decides by itself",
         "leaves 2 ways",
     ]

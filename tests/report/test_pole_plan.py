@@ -80,7 +80,7 @@ def test_of_several_placements_the_cards_draw_what_to_measure() -> None:
 def test_a_place_that_was_drawn_has_no_points_and_no_recordings() -> None:
     picture = replace(made_picture(), points=())
     html = render_pole_plan(made_plan(picture), picture)
-    assert "darker where" not in html
+    assert "darker above" not in html
     assert "SHA-256" not in html
 
 

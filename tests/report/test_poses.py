@@ -74,7 +74,7 @@ def test_what_is_copied_of_a_site_is_the_pose_of_each_lidar() -> None:
 
 def test_each_pose_of_a_site_has_its_certainty_and_what_it_is_made_of() -> None:
     text = Page(poses(SITE)).text
-    assert text.count("What the error is made of") == 3
+    assert text.count("Sources of the error") == 3
     assert "Its frame is that of the site: its pose has no error." in text
     assert "range offset of gate" in text
     assert "-0.000" not in text
@@ -140,7 +140,7 @@ def test_every_source_of_error_is_listed_the_largest_first() -> None:
 def test_the_largest_of_many_small_errors_is_not_folded_away() -> None:
     many = [replace(BUDGET[0], name=f"part {k}", share_at_30m=0.004) for k in range(200)]
     html = whole(as_subject(replace(RESULT, budget=many), ()))
-    budget = html[html.index("What the error is made of") :]
+    budget = html[html.index("Sources of the error") :]
     assert "part 0" in budget.split("<details>")[0]
     assert "199 smaller, together 80 %" in budget
     assert "smaller" not in of_result(budget=many[:1]).text

@@ -258,13 +258,13 @@ def test_it_says_how_many_returns_are_missing_and_how_much_nearer_they_are() -> 
     assert "The source sees 1 of 2 poles" in text
     assert "Pole S0" in text
     assert "60 returns on 9 rings" in text
-    assert "4 returns, 6 are needed: if it is your pole, stand it 2.0 m nearer." in text
+    assert "4 returns, 6 are needed: if it is your pole, place it 2.0 m nearer." in text
     assert "The target sees" not in text
 
 
 def test_what_is_too_little_to_go_by_gives_no_number() -> None:
     text = text_of(*lacking(1))
-    assert "1 return, 6 are needed: if it is your pole, stand it much nearer." in text
+    assert "1 return, 6 are needed: if it is your pole, place it much nearer." in text
 
 
 def test_rings_are_counted_where_the_cloud_has_them() -> None:
@@ -274,7 +274,7 @@ def test_rings_are_counted_where_the_cloud_has_them() -> None:
     rings = np.arange(len(cloud)) % 2
     with_rings = replaced(placement.source, cloud=replaced(cloud, ring=rings))
     text = text_of(result, replaced(placement, source=with_rings))
-    assert "on 2 rings, 3 are needed: if it is your pole, stand it 3.0 m nearer." in text
+    assert "on 2 rings, 3 are needed: if it is your pole, place it 3.0 m nearer." in text
 
 
 def test_other_reasons_come_with_their_advice() -> None:

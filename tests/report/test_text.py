@@ -227,8 +227,8 @@ def test_where_nothing_stands_out_few_clusters_are_listed() -> None:
     cluster = document.rejected[0]
     bare = replace(document, poles=[], rejected=48 * [cluster], threshold_source=f"auto; {LITTLE}")
     text = describe_detection(bare, [])
-    assert "nothing here is distinctly brighter than the rest" in text
-    assert "48 rejected clusters, the largest 3 of them here" in text
+    assert "nothing is distinctly brighter than the rest" in text
+    assert "48 rejected clusters, the largest 3 of them listed here" in text
     assert text.count(cluster.reason[:30]) == 3
     whole = describe_detection(replace(bare, threshold_source="VLP-16"), [])
     assert "brighter" not in whole

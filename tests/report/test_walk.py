@@ -46,7 +46,7 @@ def test_a_page_shows_the_walk_of_a_site() -> None:
     page = render_report(replace(site, walk=found))
     names = [lidar.name for lidar in site.lidars]
     assert f"t_{names[0]} = t_{names[2]} + 0.500000 s" in page
-    assert "What each saw" in page
+    assert "Seen by each" in page
     assert page.count('id="clocks-said-') == 2
     words = describe_result(replace(site, walk=found), ["site-result.json"])
     assert f"t_{names[0]} = t_{names[1]} − 0.250000 s" in " ".join(words.split())

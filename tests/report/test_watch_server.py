@@ -345,7 +345,7 @@ def test_a_server_that_is_stopped_at_once() -> None:
     [
         ("0.0.0.0", "all addresses"),
         ("::", "all addresses"),
-        ("localhost", "no IP address"),
+        ("localhost", "not an IP address"),
         ("192.0.2.7", "port 0 of 192.0.2.7"),
     ],
 )

@@ -101,7 +101,7 @@ def test_what_would_help_comes_from_the_largest_sources() -> None:
 def test_what_no_recording_shows_is_said() -> None:
     least = displacement_bound(floor(), 30.0)
     (reason,) = judge(an_answer(), Need(0.9 * least, 30.0)).reasons
-    assert "no recording shows less than" in reason.message
+    assert "no recording can show less than" in reason.message
     assert "would help" not in reason.message
 
 

@@ -14,7 +14,7 @@ from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.simulation import SimulatedPair, simulate_pair
 from retropole.surfaces.patches import Patches, surface_patches
-from retropole.verdict.preference import SURELY, check_near_poles, preferences
+from retropole.verdict.preference import MIN_SIGMAS, check_near_poles, preferences
 from tests.tiers import first_of
 
 TILT = np.r_[np.radians(0.3), 0.0, 0, 0, 0, 0]
@@ -78,7 +78,7 @@ def test_surfaces_near_the_poles_deny_a_pose_that_lifts_them(scene: str) -> None
     with pytest.raises(Refusal) as refused:
         check_near_poles(*answers(off, slightly, pair))
     assert refused.value.code == "scene_contradicts"
-    assert float(refused.value.values["sigmas"]) > SURELY
+    assert float(refused.value.values["sigmas"]) > MIN_SIGMAS
     check_near_poles(*answers(T, off, pair))
     check_near_poles(*answers(slightly, T, pair))
     check_near_poles(answers(T, T, pair)[0], None)

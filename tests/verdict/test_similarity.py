@@ -282,7 +282,9 @@ def test_no_answer_is_given_where_another_unit_alone_shows_the_poles() -> None:
     check = partial(check_unit, radius=RADIUS, thresholds=(None, None))
     check(placed(*corridor()))
     check(placed(*corridor(poles=False)))
-    with pytest.raises(Refusal, match=r"two poles that both see; read as feet, the target shows 2"):
+    with pytest.raises(
+        Refusal, match=r"two poles that both LiDARs see; read as feet, the target shows 2"
+    ):
         check(placed(*(counted(cloud, "ft") for cloud in corridor())))
 
 

@@ -13,7 +13,7 @@ from retropole.hypotheses.joint_choice import Choice, Choices, check_linked
 from retropole.hypotheses.pairs import Pair
 from retropole.verdict.site import (
     CHECKED,
-    OPEN,
+    LOOP_SIGNIFICANCE,
     check_decided,
     confirm_links,
     fitness_of,
@@ -75,7 +75,7 @@ def test_a_sound_site_has_no_weakness(steps: Steps) -> None:
 
 
 def test_a_loop_that_does_not_close_is_told(steps: Steps) -> None:
-    open_loop = replace(LOOP, chi2=90.0, probability=OPEN / 2)
+    open_loop = replace(LOOP, chi2=90.0, probability=LOOP_SIGNIFICANCE / 2)
     found = list(
         weaknesses(steps.site, steps.scans, steps.adjusted, [LOOP, open_loop], lidar_poses(steps))
     )

@@ -2,12 +2,12 @@
 
 A line fitted to the returns on a pole runs in front of its axis, for each LiDAR on another side.
 Here the axes of the poles and the pose are estimated together, with a range offset that all
-retro-reflective returns of one LiDAR share, and the radius where it is not known exactly. Every
-return is compared with where its own beam can have hit the pole, and every beam that passed close
-by with the space next to it (`likelihood`). The noise of the returns, in depth and sideways, is
-estimated with them. See docs/method.md, Beam model.
+retro-reflective returns of one LiDAR share, and the radius if it is not known exactly. Every
+return is compared with the points where its beam can have hit the pole, and every beam that passed
+close by with the space next to it (`likelihood`). The noise of the returns, in depth and sideways,
+is estimated with them. See docs/method.md, Beam model.
 
-Also the radius as the returns have it, whatever was given, and whether both LiDARs saw the same
+Also estimates the radius from the returns alone, and tests whether both LiDARs saw the same
 angles and distances between the poles.
 """
 
@@ -68,21 +68,22 @@ the returns alone gave 18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3
 
 @dataclass(frozen=True)
 class ReturnsRadius:
-    """The radius as the returns alone have it, and its 1 σ, metres."""
+    """The radius estimated from the returns alone, and its 1 σ, metres."""
 
     value: float
     sigma: float
 
     def sigmas_below(self, radius: float, sigma: float) -> float:
-        """By how many σ the returns want a thinner pole than one with a separate 1 σ.
+        """By how many σ the returns indicate a thinner pole than a given one with its 1 σ.
 
-        Thicker is no denial: tape glows, and beams next to a pole return as if they had hit it.
+        A thicker one is no contradiction: tape blooms, and beams next to a pole return as if they
+        had hit it.
         """
         return max(radius - self.value, 0.0) / float(np.hypot(self.sigma, sigma))
 
 
 def radius_of_returns(network: Network, model: ErrorModel, radius: float) -> ReturnsRadius:
-    """Ask the returns for the radius without what was given.
+    """Estimate the radius from the returns without the given value.
 
     Parameters
     ----------
@@ -116,10 +117,10 @@ class AxesTest:
     Attributes
     ----------
     chi2, freedom
-        By how much freeing the axes for each LiDAR would raise twice the logarithm of the
-        posterior, and how many more parameters that has: χ² if the arrangement was the same.
+        Increase of twice the logarithm of the posterior by separate axes for each LiDAR,
+        and the number of additional parameters: χ² if the arrangement was the same.
     by_pole
-        (K,) the same where only that pole's axis is freed.
+        (K,) the same if only that pole's axis is separate.
     """
 
     chi2: float
@@ -140,7 +141,7 @@ def compare_axes(network: Network, precision: Array, considered: Array) -> AxesT
     precision
         (B,) of the prior of the errors.
     considered
-        (B,) 1 σ of errors that are not estimated, and may be the cause all the same; 0 of others.
+        (B,) 1 σ of errors that are not estimated, but may be the cause; 0 of others.
     """
     unknowns, poles = network.unknowns, network.unknowns.axes
     whole, slope = network.total()
@@ -174,10 +175,10 @@ def compare_axes(network: Network, precision: Array, considered: Array) -> AxesT
 
 
 RADIUS_TOLERANCE = 0.02
-"""Least 1 σ of the radius, relative to it: tubes differ by this amount, and tape adds to them."""
+"""Least 1 σ of the radius, relative to it: tubes differ by this amount, and tape adds to it."""
 
 MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
-"""1 σ, rad and m, from which the poles are said to leave the pose free."""
+"""1 σ, rad and m, from which the poles are treated as not determining the pose."""
 
 SURROUNDINGS_SIGMA = np.repeat([np.radians(2.0), 0.2], 3)
 """1 σ of the pose that the surroundings give where the poles leave some of it undetermined, rad
@@ -199,24 +200,25 @@ class BeamAlignment:
     uncertainty
         The covariance in its two kinds, and the budget.
     factor
-        What the poles show of the pose and of the LiDARs' errors, for the scene to go on from.
+        Information of the poles on the pose and the LiDARs' errors, used in the refinement by the
+        scene.
     covariance_if_known
-        (6, 6) the covariance if the LiDARs' errors and the radius were known: what the returns
-        alone do not determine.
+        (6, 6) the covariance if the LiDARs' errors and the radius were known: the uncertainty from
+        the returns alone.
     axis_points, axis_directions
         (K, 3) a point on each pole's axis and its unit direction, target frame.
     radius
         Given and estimated.
     radius_conflict
-        By how many σ the returns alone conflict with the radius that was given.
+        By how many σ the returns alone conflict with the given radius.
     axes_test
         Whether both LiDARs see the same arrangement of the poles.
     noise, lateral_noise
         1 σ of a return along the beam and across it, for the target and the source, metres.
     converged, iterations
-        Whether the solver came to rest, and after how many steps.
+        Whether the solver converged, and after how many steps.
     joint
-        What it was taken from; None without poles.
+        The joint estimate that it is from; None without poles.
     """
 
     pose: PoseEstimate
@@ -248,9 +250,9 @@ class Aligned:
     radius, radius_conflict
         As in `BeamAlignment`.
     radius_sigma
-        1 σ of the radius that was used in the end, metres.
+        1 σ of the radius that was finally used, metres.
     sights
-        What each LiDAR saw.
+        The observations of each LiDAR.
     """
 
     maximum: Solution[Posterior[JointState]]
@@ -273,7 +275,7 @@ def align_beams(
     by_place: bool = False,
     left: tuple[Array, ...] = (),
 ) -> BeamAlignment:
-    """Align matched poles by what both LiDARs' beams can have hit.
+    """Align matched poles by the points that both LiDARs' beams can have hit.
 
     Parameters
     ----------
@@ -282,22 +284,22 @@ def align_beams(
     T_start
         (4, 4) the chosen hypothesis, target from source.
     radius, radius_sigma
-        Of the poles as given, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it. Where the
-        returns conflict with it, they alone decide.
+        Of the poles as given, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it. If the
+        returns conflict with it, they alone are used.
     sizes, left
         Of the systematic errors of both LiDARs, and of their sway; see `ErrorModel`.
     placement
         (K,) index of that of each pole; None if there is one.
     by_place
-        Whether the surroundings, and not the poles, gives what `T_start` has in addition to them.
+        Whether the part of `T_start` that the poles do not determine is from the surroundings.
 
     Raises
     ------
     Refusal
         ``too_few_points`` with less than two poles, or one `by_place`, or `MIN_LINE_POINTS`
         returns on one;
-        ``degenerate_poles`` where the poles leave the pose all but free in some direction;
-        ``poor_fit`` where most returns lie on no common pole.
+        ``degenerate_poles`` if the poles hardly constrain the pose in some direction; ``poor_fit``
+        if most returns lie on no common pole.
     """
     _check_counts(target, source, needed=1 if by_place else 2)
     given_sigma = max(radius_sigma, RADIUS_TOLERANCE * radius, MIN_ERROR_SIGMA)
@@ -315,7 +317,7 @@ def align_beams(
 
 
 def without_poles(T: Array, radius: float, sigma: Array = SURROUNDINGS_SIGMA) -> BeamAlignment:
-    """State a pose (4, 4) that the surroundings alone give, as if by poles that add nothing.
+    """Express a pose (4, 4) from the surroundings alone as if from poles without information.
 
     With its 1 σ (6,), rad and m.
     """
@@ -348,14 +350,15 @@ def align_all(
     scene_bands: Sequence[IntArray] = (),
     most_noise: Array | float = np.inf,
 ) -> Aligned:
-    """Climb from a state, refuse what no shared poles explain, and expand about the maximum.
+    """Maximise from a state, refuse returns that no common poles explain, and expand about the
+    maximum.
 
     Parameters
     ----------
     state
-        Where to start, with the radius as it was given.
+        The start, with the given radius.
     sights, surveyed
-        What was seen of the poles, and what else is known.
+        Observations of the poles, and surveyed ones.
     model
         Of the errors.
     placement
@@ -365,12 +368,12 @@ def align_all(
     scene_bands
         For each LiDAR, bands of elevation that it has returns in other than those on poles.
     most_noise
-        As `maximum.maximise_joint` has it.
+        As in `maximum.maximise_joint`.
 
     Raises
     ------
     Refusal
-        ``poor_fit`` where most returns lie on no common pole.
+        ``poor_fit`` if most returns lie on no common pole.
     """
     radius, given_sigma = state.radius, model.radius_sigma
     none = np.zeros(0, dtype=np.int64)
@@ -393,8 +396,8 @@ def align_all(
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
         return Aligned(found, network, estimate, contradicted, given_sigma, sights)
-    # What was given is no longer used: the climb finds the radius anew, as good as free, and that
-    # takes its place.
+    # The given value is no longer used: the radius is estimated again, practically unconstrained,
+    # and replaces it.
     assumed = found.point.state.radius
     found, network = maximum(found.point.state, found.point.log_noise, radius)
     by_returns = radius_of_returns(network, model, assumed)
@@ -414,7 +417,7 @@ def _check_counts(target: Beams, source: Beams, needed: int) -> None:
             "too_few_points",
             f"{counted(poles, 'pole')} with {counted(int(counts.min()), 'return')} on the "
             f"poorest: {counted(needed, 'pole')} with "
-            f"{MIN_LINE_POINTS} each are the least; bring the poles nearer or add frames",
+            f"{MIN_LINE_POINTS} each are needed; bring the poles nearer or add frames",
             {"poles": poles, "returns": int(counts.min())},
         )
 
@@ -427,25 +430,25 @@ def widest(covariance: Array) -> tuple[float, float]:
 
 
 def is_nearly_determined(covariance: Array) -> bool:
-    """Whether a covariance (6, 6) of a pose is within what poles may leave of it."""
+    """Whether a covariance (6, 6) of a pose is within the limits for poles."""
     rotation, translation = widest(covariance)
     return rotation < MAX_ROTATION_SIGMA and translation < MAX_TRANSLATION_SIGMA
 
 
 def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
-    """Estimate the pose of a pair and all errors together, and state how certain the pose is.
+    """Estimate the pose of a pair and all errors together, and state the uncertainty of the pose.
 
     Parameters
     ----------
     found
         Of two LiDARs, the target's pose fixed.
     model
-        Of the errors, with the 1 σ of the radius that was taken.
+        Of the errors, with the 1 σ of the radius that was used.
 
     Raises
     ------
     Refusal
-        ``degenerate_poles`` where the poles leave the pose all but free in some direction.
+        ``degenerate_poles`` if the poles hardly constrain the pose in some direction.
     """
     end = found.maximum.point
     noise = np.exp(end.log_noise)
@@ -455,7 +458,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     precision = prior_precision(groups, working_sigma(groups, known, poles_alone=True))
     estimate = solve_factor(factor, precision)
     variance = np.diag(estimate.inverse)[unknowns.poses :]
-    # Poles alone determine the size of hardly any error: evaluated once more, they say the same.
+    # Poles alone determine the size of hardly any error: another evaluation gives the same.
     sigma = group_scales(groups, known, precision, estimate.errors, variance)
     uncertainty = uncertainty_of_pair(
         [
@@ -470,8 +473,8 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
         rotation, translation = widest(covariance)
         raise Refusal(
             "degenerate_poles",
-            f"the poles leave the pose free by {np.degrees(rotation):.1f}° and {translation:.2f} m "
-            "(1 σ); lean one pole by 15° or more against the other",
+            f"the poles determine the pose only to {np.degrees(rotation):.1f}° and "
+            f"{translation:.2f} m (1 σ); lean one pole by 15° or more against the other",
             {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
         )
     return BeamAlignment(

@@ -1,15 +1,15 @@
-"""How certain a pose is: what the scatter shows, what the instruments allow, and unmodelled errors.
+"""Certainty of a pose: from the scatter, the instruments' errors, and unmodelled errors.
 
 The poses x and the errors b are estimated together, with information ``H`` (all of x and b, the
-prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: what
-the data show of it is removed, the rest passes into the pose. See docs/method.md, Certainty.
+prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: the
+part that the data show is removed, the rest affects the pose. See docs/method.md, Certainty.
 
-The sizes of the errors are those known beforehand, changed by what the data show. Every error is a
-random effect ``b ~ N(0, σ²)``, with one σ for each group of them. What is known beforehand counts
-as `MIN_MEMBERS` errors of that size; the data may show that they are larger or smaller. Makers
-state the largest errors of a kind, and an error that is not there takes up what the data show about
-the pose: with sizes that never fall below the known ones, the median e_rt of 60 easy streets and
-harbors (seeds 0 to 29) is 2.0 and 2.4 mm, in place of 1.6 and 2.1.
+The sizes of the errors are the prior ones, corrected by the data. Every error is a
+random effect ``b ~ N(0, σ²)``, with one σ for each group. The prior has the weight
+of `MIN_MEMBERS` errors of that size; the data may show that they are larger or
+smaller. Makers state the largest errors of a kind, and an error that does not exist absorbs
+information on the pose: with sizes that never fall below the known ones, the median e_rt of 60
+easy streets and harbors (seeds 0 to 29) is 2.0 and 2.4 mm, instead of 1.6 and 2.1.
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ POLES_ONLY = "tape", "radius"
 """Errors that only poles show."""
 
 WORKING_SHARE = 0.25
-"""The estimate is drawn to the prior of errors that only poles show as if they had this part of
-their 1 σ; what is stated includes them whole. A few poles cannot distinguish an offset from a
-translation: given all the freedom that the instrument has, the estimate takes noise for offsets. Of
+"""In the estimate, errors that only poles show have a prior with this part of their 1
+σ; the stated uncertainty includes them in full. A few poles cannot distinguish an offset from
+a translation: with the full prior, the estimate would explain noise by offsets. Of
 100 set-ups of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with
 offsets of 7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
 
 CONSIDERED = "width"
 CONSIDERED_SHARE = 0.01
-"""The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that it is
-kept within. The estimate takes beams to be as wide as they are known to be, and what is stated
-counts that they may not be. Which touch of a pole's edge still returns is not known well enough to
-give the width: estimated, it came out at 0.2 to 0.7 of what was simulated, and the poles of
-4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to
-70 in place of 2."""
+"""The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that is
+used in the estimate. The estimate assumes the known width of the beams, and the stated uncertainty
+includes its error. The minimal overlap of a beam with a pole's edge that still gives a return is
+not known well enough to estimate the width: estimated, it came out at 0.2 to 0.7 of what was
+simulated, and the poles of 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each
+other worse, with a χ² of up to 70 instead of 2."""
 
 MIN_MEMBERS = 5
-"""Errors that a size is estimated from, and as many of the size that is known beforehand count
-in addition to the data's. Those of a whole LiDAR, one to four of a kind, do not determine their
-own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
-lines estimated, of 36 recordings of a stationary vehicle that were turned by 0.3° two to five
-were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
-missed so."""
+"""Minimum number of errors from which a size is estimated; the prior size has the weight of the
+same number in addition to the data. The errors of a whole LiDAR, one to four of a kind, do not
+determine their size, and an estimated size would grow with an error of the pose. With that of bent
+scan lines estimated, of 36 recordings of a stationary vehicle that were turned by 0.3° two to five
+were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); without, none of
+36 is missed."""
 
 MAX_SCALE = 3.0
-"""Most that errors may be found larger than they are known to be: beyond, it is not the LiDAR."""
+"""Largest factor of an estimated size over the known one: beyond, the cause is not the LiDAR."""
 
 
 def prior_precision(groups: Groups, sigma: Array) -> Array:
-    """(B,) B⁻¹ of the errors, from the 1 σ of each group; what is considered is almost fixed."""
+    """(B,) B⁻¹ of the errors, from the 1 σ of each group; considered errors are almost fixed."""
     constrained = considered(groups, sigma) > 0
     return np.asarray(
         1.0 / (np.where(constrained, CONSIDERED_SHARE, 1.0) * sigma[groups.label]) ** 2
@@ -76,7 +76,7 @@ def considered(groups: Groups, sigma: Array) -> Array:
 
 
 def working_sigma(groups: Groups, sigma: Array, *, poles_alone: bool) -> Array:
-    """(G,) 1 σ that the estimate is drawn by, of those that only poles show `WORKING_SHARE`.
+    """(G,) 1 σ used in the estimate: `WORKING_SHARE` of it for errors that only poles show.
 
     Poles alone show hardly any error; with the scene, all but the offset on tape and the radius.
     """
@@ -87,17 +87,17 @@ def working_sigma(groups: Groups, sigma: Array, *, poles_alone: bool) -> Array:
 def group_scales(
     groups: Groups, known: Array, precision: Array, estimated: Array, variance: Array
 ) -> Array:
-    """Estimate the 1 σ of each group from the errors that the data show and those that are known.
+    """Estimate the 1 σ of each group from the estimated errors and the prior sizes.
 
-    ``σ² = (ν₀ σ₀² + Σ b̂²) / (ν₀ + Σ γ)`` with ``γ = 1 − var/σ²``, how far the data determine each
-    error (MacKay 1992, Bayesian interpolation; REML in the geodesists' words).
+    ``σ² = (ν₀ σ₀² + Σ b̂²) / (ν₀ + Σ γ)`` with ``γ = 1 − var/σ²``, the degree to which the data
+    determine each error (MacKay 1992, Bayesian interpolation; REML in geodesy).
 
     Parameters
     ----------
     groups
         Which errors belong together.
     known
-        (G,) the sizes known beforehand.
+        (G,) the prior sizes.
     precision
         (B,) of the prior that the errors were estimated with.
     estimated, variance
@@ -113,33 +113,33 @@ def group_scales(
 
 
 FLOOR = "unmodelled errors"
-"""What the budget calls that: nothing makes it smaller."""
+"""Name of the unmodelled errors in the budget: nothing reduces them."""
 
 POLES = "scatter of the poles' returns"
-"""What it calls that."""
+"""Name of that part in the budget."""
 
 DEPTH = "depth of the poles"
-"""What it calls what all returns of a LiDAR on one pole share."""
+"""Name in the budget of the error common to all returns of a LiDAR on one pole."""
 
 SWAY = "sway while it recorded"
-"""What it calls what is left of that."""
+"""Name of the remaining sway in the budget."""
 
 SIDES: tuple[Literal["target"], Literal["source"]] = ("target", "source")
-"""What the LiDARs of a pair are called."""
+"""Names of the LiDARs of a pair."""
 
-SIGNIFICANT = 0.99
-"""Share of chance up to which it may be chance."""
+CHI2_SHARE = 0.99
+"""Probability of the quantile that `chi2_limit` gives by default."""
 
 
 SIGNIFICANCE = 0.001
-"""Level of the tests that warn: how often one does where nothing is wrong (Baarda 1968)."""
+"""Significance level of the tests that warn: the rate of false alarms (Baarda 1968)."""
 
 MAX_NORMAL = float(-ndtri(SIGNIFICANCE / 2.0))
-"""Standard normal number, 3.29, that is exceeded so often."""
+"""Standard normal number, 3.29, that is exceeded with this probability, in either direction."""
 
 
-def chi2_limit(freedom: float, share: float = SIGNIFICANT) -> float:
-    """χ² with some degrees of freedom that a share of chance is below."""
+def chi2_limit(freedom: float, share: float = CHI2_SHARE) -> float:
+    """Quantile of χ² with some degrees of freedom."""
     return float(chdtri(freedom, 1.0 - share))
 
 
@@ -156,15 +156,15 @@ class Part:
     Attributes
     ----------
     name, lidar
-        What errs, and which LiDAR's; None if it is no single LiDAR's.
+        The source of the error, and its LiDAR; None if it does not belong to a single LiDAR.
     sigma, unit
-        1 σ of the error itself; None of what is no single quantity.
+        1 σ of the error itself; None if it is not a single quantity.
     estimated
-        The error as the data have it; None if it is not estimated or is not one number.
+        The error estimated from the data; None if it is not estimated or is not one number.
     root
         (6 L, R): the part is ``root rootᵀ``.
     is_random
-        Whether recording again draws it again.
+        Whether it is independent in another recording.
     """
 
     name: str
@@ -202,7 +202,7 @@ def solve_factor(factor: PoleFactor, precision: Array) -> FactorEstimate:
 def parts_of_errors(
     groups: Groups, sigma: Array, precision: Array, inverse: Array, estimated: Array
 ) -> list[Part]:
-    """Say what each group of errors does to all poses.
+    """Compute the effect of each group of errors on all poses.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def parts_of_errors(
     inverse
         (K, K) H⁻¹ of poses and errors.
     estimated
-        (B,) the errors as the data have them.
+        (B,) the estimated errors.
     """
     poses = len(inverse) - len(estimated)
     passed = inverse[:poses, poses:] * precision * sigma[groups.label]
@@ -227,17 +227,18 @@ def parts_of_errors(
 
 
 def part_of(name: str, root: Array, *, is_random: bool = False) -> Part:
-    """Give a part (6 L, R) that is no single quantity."""
+    """Give a part (6 L, R) that is not a single quantity."""
     return Part(name, None, None, "m", None, root, is_random)
 
 
 def parts_of_poles(name: str, factor: PoleFactor, inverse: Array) -> list[Part]:
-    """Say what the scatter of the returns on the poles does to all poses, and their depth.
+    """Compute the effect of the scatter of the returns on the poles on all poses, and of their
+    depth.
 
     Parameters
     ----------
     name
-        What the scatter is called.
+        Name of the scatter.
     factor
         Of the poles, about the answer.
     inverse
@@ -254,7 +255,7 @@ def parts_of_poles(name: str, factor: PoleFactor, inverse: Array) -> list[Part]:
 
 
 def root_of(square: Array) -> Array:
-    """(N, N) whose square ``root rootᵀ`` is a matrix that may leave directions free."""
+    """(N, N) whose square ``root rootᵀ`` is a matrix that may be singular."""
     size, way = np.linalg.eigh(square)
     return np.asarray(way * np.sqrt(np.maximum(size, 0.0)))
 
@@ -262,7 +263,7 @@ def root_of(square: Array) -> Array:
 def floors(T: Array, free: BoolArray) -> list[Part]:
     """State the unmodelled errors: half of its variance for each LiDAR of a pair.
 
-    It turns and shifts the frame of a LiDAR.
+    They rotate and shift the frame of a LiDAR.
 
     Parameters
     ----------
@@ -291,7 +292,7 @@ def sways(T: Array, free: BoolArray, left: Array) -> list[Part]:
 
 
 def _of_frame(T: Array, free: BoolArray, lidar: int, root: Array) -> Array:
-    """(6 L, 6) what an error of the frame of one LiDAR, given by a root (6, 6), does to all poses.
+    """(6 L, 6) effect on all poses of an error of the frame of one LiDAR, given by a root (6, 6).
 
     That of a LiDAR whose frame is the datum moves all others against it.
     """
@@ -313,7 +314,7 @@ def joint_covariance(parts: Sequence[Part]) -> Array:
 
 
 def uncertainty_of_pair(parts: Sequence[Part]) -> Uncertainty:
-    """State how certain the pose of a pair's source is, and what makes it so."""
+    """State the uncertainty of the pose of a pair's source, and its sources."""
     random, systematic = (
         sum(
             (root @ root.T for root in (part.root[POSE:] for part in parts if kind(part))),
@@ -327,7 +328,7 @@ def uncertainty_of_pair(parts: Sequence[Part]) -> Uncertainty:
 def budget_of(
     parts: Sequence[Part], lidar: int, names: Sequence[str] | None = None
 ) -> tuple[BudgetEntry, ...]:
-    """Say what the error of one pose is made of, the largest first; equal names are put together.
+    """List the sources of the error of one pose, the largest first; equal names are combined.
 
     Parameters
     ----------
@@ -361,7 +362,8 @@ def budget_of(
 
 
 def excess(covariance: Array, other: Array) -> Array:
-    """Give by how much a covariance (..., N, N) is more than another, in the directions it is."""
+    """Give the excess of a covariance (..., N, N) over another, in the directions in which it is
+    larger."""
     more, way = np.linalg.eigh(covariance - other)
     return np.asarray((way * np.maximum(more, 0.0)[..., None, :]) @ np.swapaxes(way, -1, -2))
 
@@ -369,7 +371,7 @@ def excess(covariance: Array, other: Array) -> Array:
 def few_freedom(freedom: float) -> float:
     """Factor by which few degrees of freedom widen a covariance: ``6 F(6, ν) / χ²(6)`` at 95 %.
 
-    It is 1 where they are infinite: of a covariance that is given, not estimated.
+    It is 1 if they are infinite: for a covariance that is given, not estimated.
     """
     if np.isinf(freedom):
         return 1.0

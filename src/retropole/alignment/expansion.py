@@ -151,7 +151,7 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
         np.full(len(at) * len(sigma), view.noise[1]),
         radius,
         np.tile(beams.half_width, len(at)),
-        np.tile(beams.beside, len(at)),
+        np.tile(beams.passed_share, len(at)),
     )
     information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
     noise = _averaged(arc.inlier[:, None] * arc.noise, weight)

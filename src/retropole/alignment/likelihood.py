@@ -169,7 +169,7 @@ def arc_likelihood(
     sigma_lateral: Array,
     radius: float,
     half_width: Array | float = 0.0,
-    beside: Array | float = 0.0,
+    passed_share: Array | float = 0.0,
 ) -> ArcLikelihood:
     """Likelihood of returns that beams made on a pole; see the head of this module.
 
@@ -183,11 +183,11 @@ def arc_likelihood(
         Of the pole, metres; zero is a line.
     half_width
         (N,) w, metres: half of the beam's width at the pole.
-    beside
+    passed_share
         (N,) share of the beams next to the pole that were recorded there, 0 to 1: the factor
         1/2(r+w) counts with the rest.
     """
-    alone = 1.0 - np.asarray(beside, dtype=np.float64)
+    alone = 1.0 - np.asarray(passed_share, dtype=np.float64)
     w = np.broadcast_to(np.asarray(half_width, dtype=np.float64), depth.shape)
     safe = max(radius, 1e-9)
     # Half of what the beams are shared out over, to the power of those next to which none are

@@ -138,7 +138,7 @@ def check_fit(end: Posterior[S], total: int, returns: str) -> None:
     raise Refusal(
         "poor_fit",
         f"{returns} do not lie on shared poles: noise {100 * noise:.1f} cm, {end.inliers:.0f} of "
-        f"{total} returns fit; check the radius and what was taken for a pole",
+        f"{total} returns fit; check the radius, and which objects were detected as poles",
         {"noise_m": noise, "inliers": end.inliers, "points": total},
     )
 

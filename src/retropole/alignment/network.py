@@ -259,7 +259,7 @@ class Network:
         return np.concatenate(found, axis=1)
 
     def of_lidar(self, lidar: int) -> Network:
-        """Give what one LiDAR's returns show."""
+        """Give the information from one LiDAR's returns."""
         kept = tuple(
             one for one in self.observations if one.lidar == lidar and one.poles is not None
         )
@@ -287,7 +287,7 @@ class Network:
 
 
 def bands_of(sights: Sequence[Sight], scene_bands: Sequence[IntArray]) -> tuple[IntArray, ...]:
-    """Put together the bands of elevation of each LiDAR's returns on poles and on surfaces."""
+    """Combine the bands of elevation of each LiDAR's returns on poles and on surfaces."""
     found = list(scene_bands)
     for sight in sights:
         own = band_of(sight.beams.directions, sight.beams.axis)
@@ -402,7 +402,8 @@ def _returns(
 def _with_depth(
     information: Array, gradient: Array, state: JointState, lidar: int, own: IntArray
 ) -> tuple[Array, Array, Array]:
-    """Let a LiDAR err in the depth of each pole, by `DEPTH_SIGMA`: that error is eliminated.
+    """Add an error of a LiDAR in the depth of each pole, by `DEPTH_SIGMA`: that error is
+    eliminated.
 
     With ``N, g`` what the returns show as if it were zero, ``E`` its derivative and ``D`` its
     variance, ``N' = N − N E (D⁻¹ + Eᵀ N E)⁻¹ Eᵀ N``; an error of 1 σ moves ``g'`` by

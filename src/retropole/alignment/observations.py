@@ -51,7 +51,7 @@ class Beams:
         (N,) which pole each lies on.
     half_width
         (N,) half of the beam's width at the return, metres.
-    beside
+    passed_share
         (N,) share of the beams next to the pole, at each return, that are recorded: 1 if
         something is behind on both sides, ½ on one, 0 before the sky.
     passed_directions, passed_pole
@@ -66,7 +66,7 @@ class Beams:
     ranges: Array
     pole: IntArray
     half_width: Array
-    beside: Array
+    passed_share: Array
     passed_directions: Array
     passed_pole: IntArray
     passed_half_width: Array
@@ -83,7 +83,7 @@ class Beams:
             ranges=self.ranges[on],
             pole=hit_pole[on],
             half_width=self.half_width[on],
-            beside=self.beside[on],
+            passed_share=self.passed_share[on],
             passed_directions=self.passed_directions[by],
             passed_pole=passed[by],
             passed_half_width=self.passed_half_width[by],
@@ -124,7 +124,7 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
         ranges=ranges,
         pole=np.repeat(np.arange(len(seen)), [len(near.returns) for near in found]),
         half_width=0.5 * divergence * ranges,
-        beside=np.concatenate([near.beside for near in found]),
+        passed_share=np.concatenate([near.passed_share for near in found]),
         passed_directions=np.concatenate([near.passed for near in found]),
         passed_pole=passed_pole,
         passed_half_width=0.5 * divergence * away[passed_pole],
@@ -157,7 +157,7 @@ class _Near(NamedTuple):
     """
 
     returns: Array
-    beside: Array
+    passed_share: Array
     passed: Array
 
 

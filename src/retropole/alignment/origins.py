@@ -93,7 +93,7 @@ class BeamOrigins:
 
 
 def beam_origins(placements: Sequence[Placement]) -> BeamOrigins:
-    """Take the beam origins of the first placement; the LiDARs did not move between them."""
+    """Use the beam origins of the first placement; the LiDARs did not move between them."""
     return BeamOrigins(placements[0].target.cloud.origin, placements[0].source.cloud.origin)
 
 

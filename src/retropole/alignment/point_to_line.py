@@ -147,7 +147,7 @@ def _check_rank(H: Array) -> None:
     if not np.isfinite(ratio) or ratio < ROUNDING:
         raise Refusal(
             "degenerate_poles",
-            f"the poles leave one direction of the pose free (eigenvalue ratio {ratio:.1e}); "
+            f"the poles do not determine one direction of the pose (eigenvalue ratio {ratio:.1e}); "
             "lean one pole by 15° or more against the other",
             {"eigenvalue_ratio": ratio},
         )

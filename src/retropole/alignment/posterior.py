@@ -311,7 +311,7 @@ def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> O
         sigma_lateral,
         state.radius,
         beams.half_width,
-        beams.beside,
+        beams.passed_share,
     )
     J = np.concatenate([seen.jacobian, np.zeros((len(beams.pole), 1, size))], axis=1)
     J[:, 2, 8] = 1.0

@@ -121,7 +121,7 @@ class SurveyTerm:
 
 
 def survey_terms(state: JointState, surveyed: Surveyed) -> Iterator[SurveyTerm]:
-    """Hold what was surveyed against a state."""
+    """Compare survey observations with a state."""
     tangents = state.of(0, np.arange(len(state.points))).tangents
     first = state.control_points().start
     for end in surveyed.ends:

@@ -194,13 +194,13 @@ def calibrate_with(
 
 
 def prior_of(config: RunConfig) -> PosePrior | None:
-    """Say what is known of the pose beforehand: of a map, where in it the source is."""
+    """Make the prior on the pose: for a map, the position of the source in it."""
     distance = None if config.prior_xyz is None else config.prior_sigma_m
     return pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg, distance)
 
 
 def options_of(pair: InputPair, config: RunConfig) -> Options:
-    """Say what is known of two LiDARs and their poles, as the method takes it."""
+    """Describe two LiDARs and their poles, in the form used by the method."""
     return Options(
         radius=config.radius_m,
         radius_sigma=config.radius_sigma_m,

@@ -194,7 +194,7 @@ def ahead_of_recorder(frame: Frame) -> list[float]:
 
 
 def median_of(ahead: Sequence[float]) -> float | None:
-    """Take the median over all sweeps; None of none."""
+    """The median over all sweeps; None without any."""
     return float(np.median(ahead)) if ahead else None
 
 

@@ -63,7 +63,7 @@ def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
     """
     read = read_site(path, listener)
     if read.site.carried:
-        raise UsageError(f"{path}: a field test needs poles that stand; here one was carried")
+        raise UsageError(f"{path}: a field test needs fixed poles; here a pole was carried")
     lidars = read.site.lidars
     tests = {
         (lidars[a].name, lidars[b].name): test

@@ -93,7 +93,7 @@ def read_stored(
     if covariance is None:
         raise Refusal(
             "no_covariance",
-            f"{path} does not say how certain it is: give result.json, or --sigma-deg and "
+            f"{path} does not state how accurate it is: give result.json, or --sigma-deg and "
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
@@ -126,7 +126,7 @@ def read_stored(
 
 
 def wanted_of(document: SiteDoc) -> dict[str, Wanted]:
-    """Say by the names of LiDARs how the points of their recordings were made."""
+    """Give, by the names of LiDARs, the options for reading their points."""
     return {
         document.lidars[each.lidar].name: Wanted(each.intensity, each.angles)
         for each in document.inputs
@@ -144,7 +144,7 @@ def check_lidars(path: Path, there: Sequence[str], named: tuple[str, str] | None
     if named is None or named[0] == named[1] or not {*named} <= {*there}:
         raise ReadError(
             f"{path} is of a site: name two of its LiDARs, that of TARGET with --parent and that "
-            f"of SOURCE with --child; there are {', '.join(there)}; 'retropole site check' checks "
+            f"of SOURCE with --child; it has {', '.join(there)}; 'retropole site check' checks "
             "them all"
         )
 
@@ -205,7 +205,7 @@ def check_recordings(
     own = intensity if intensity_source is None else intensity_source
     of_source = Wanted(own, angles_source).or_known(known.of_source.wanted)
     if are_swapped(stored.hashes, target, source):
-        swapped = swap("RESULT was made of these very files", {"told_by": "hashes"})
+        swapped = swap("RESULT was computed from these files", {"told_by": "hashes"})
         return CheckResult("cannot_tell", (swapped, *stored.warnings))
     if known.map:
         x, y, z = map(float, stored.pose.T_target_source[:3, 3])
@@ -297,14 +297,14 @@ def check_pair(
 
 _RECORDINGS_OF_RESULT = Reason(
     "recordings_of_result",
-    "RESULT was made of these very recordings (their SHA-256 is the same), so that they give its "
-    "pose again whatever moved since: this proves nothing; give recordings that are newer",
+    "RESULT was computed from these recordings (their SHA-256 is the same), so that they give "
+    "its pose again even if a LiDAR moved since: this is no check; give newer recordings",
     {},
 )
 
 
 def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> Reason | None:
-    """Say that the topics of the stored run are read swapped."""
+    """Report that the topics of the stored run are read swapped."""
     topics = known.target_topic, known.source_topic
     if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
@@ -313,7 +313,7 @@ def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> 
 
 
 def topic_for(path: Path, given: str | None, known: str | None) -> str | None:
-    """Take the topic that is given, else the stored one where there is a bag to look for it in."""
+    """Use the given topic, else the stored one if the recording is a bag."""
     if given is not None or known is None:
         return given
     return known if topics_of(path) else None
@@ -395,8 +395,8 @@ def check_site(
     if not pairs:
         known = ", ".join(lidar.name for lidar in document.lidars)
         raise ReadError(
-            f"{site}: no two of its LiDARs shared poles when the site was calibrated; the result "
-            f"has {known}: name them so"
+            f"{site}: no two of its LiDARs had poles in common when the site was calibrated; the "
+            f"result has {known}: use these names"
         )
     exchanged = _exchanged(document, file, site)
     if exchanged is not None:
@@ -462,7 +462,7 @@ def _pairs(document: SiteDoc, file: SiteFile) -> Iterator[tuple[str, str]]:
 
 
 def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
-    """Say that a recording is one that the result has of another LiDAR, by its hash."""
+    """Report that a recording is, by its hash, that of another LiDAR in the result."""
     owners: dict[str, set[str]] = {}
     for each in document.inputs:
         owners.setdefault(each.sha256, set()).add(document.lidars[each.lidar].name)
@@ -474,15 +474,16 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
                 owner = ", ".join(sorted(known))
                 return Reason(
                     "swapped",
-                    f"{place}, given for {lidar.name}, is the very file that the result has of "
-                    f"{owner}; give each LiDAR its own",
+                    f"{place}, given for {lidar.name}, is the file that the result has for "
+                    f"{owner}; give each LiDAR its own file",
                     {"told_by": "hashes", "given_for": lidar.name, "of": owner},
                 )
     return None
 
 
 def pair_config(stored: SiteDoc, target: LidarTable, source: LidarTable) -> RunConfig:
-    """Take the options of a check of two LiDARs: of the poles from the result, else of the file.
+    """Choose the options of a check of two LiDARs: those of the poles from the result, others from
+    the file.
 
     If the file says neither angles nor the field of an intensity, they are those of the result.
     """

@@ -115,7 +115,7 @@ def _cloud(read: ReadRecording, named: str | None) -> CloudDoc:
 
 
 def _beyond(cloud: PointCloud) -> str:
-    """Say that a cloud reaches farther than its sensor."""
+    """Report that a cloud reaches farther than its sensor."""
     sensors = " or ".join(guess_sensors(cloud))
     return (
         f"1 % of the points are beyond {beyond_sensors(cloud):g} m, farther than a {sensors} sees"
@@ -123,7 +123,7 @@ def _beyond(cloud: PointCloud) -> str:
 
 
 def _in_unit(unit: Unit, scan: Scan, odd: str) -> str:
-    """Say in which unit a cloud shows poles, after what is odd about its ranges."""
+    """State in which unit a cloud shows poles, after the description of its odd ranges."""
     return (
         f"{odd}; read as {NAMES[unit]} it shows {len(scan.poles)} poles of radius "
         f"{DEFAULT_RADIUS:g} m, in metres none"

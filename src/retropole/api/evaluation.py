@@ -157,7 +157,7 @@ class _Line(NamedTuple):
 
 
 def _poles(document: ResultDoc | None) -> tuple[list[_Line], list[_Line]]:
-    """Take the poles of the target and of the source that a result lists."""
+    """Read the poles of the target and of the source that a result lists."""
     if document is None:
         return [], []
     target, source = (
@@ -172,7 +172,7 @@ def _refuse_swapped(target: CloudSource, source: CloudSource, document: ResultDo
     if not isinstance(target, str | Path) or not isinstance(source, str | Path):
         return
     if document is not None and are_swapped(hashes_of(document), target, source):
-        raise UsageError(swap("the result was made of these very files", {}).message)
+        raise UsageError(swap("the result was computed from these files", {}).message)
 
 
 def _transform(given: Array | CalibrationResult | str | Path) -> Array:

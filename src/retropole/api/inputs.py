@@ -142,7 +142,7 @@ def read_input(
     *,
     role: str = "cloud",
 ) -> Input:
-    """Take a cloud as the user gives it, and look up its sensor.
+    """Read a cloud in any form that a user may give, and look up its sensor.
 
     Parameters
     ----------
@@ -183,7 +183,8 @@ def read_input(
         )
     elif (how.topic, how.frames, how.wanted._replace(place=None)) != (None, None, USUAL):
         raise UsageError(
-            f"{role}: a topic or frames, intensity and angles are chosen in files, not in arrays"
+            f"{role}: a topic, frames, intensity and angles can be chosen in files only, not in "
+            "arrays"
         )
     else:
         if isinstance(given, PointCloud):
@@ -206,7 +207,7 @@ def read_pair(
     listener: Listener = SILENT,
     which: str = "",
 ) -> InputPair:
-    """Take a target and a source, with the options of a run; see `read_input`.
+    """Read a target and a source, with the options of a run; see `read_input`.
 
     Parameters
     ----------
@@ -225,7 +226,7 @@ def read_placements(
     config: RunConfig,
     listener: Listener = SILENT,
 ) -> tuple[InputPair, ...]:
-    """Take the target and the source of every placement, with the options of a run.
+    """Read the target and the source of every placement, with the options of a run.
 
     Raises
     ------
@@ -306,7 +307,7 @@ def refuse_repeated(
 
 
 def warn_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
-    """Say that a recording is given twice.
+    """Report that a recording is given twice.
 
     Parameters
     ----------
@@ -330,13 +331,13 @@ def warn_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
         what = f"topic {other.topic} of {other.name}" if other.topic else other.name
         return f"{names[0]} and {names[1]} are both {what}; {advice}"
     return (
-        f"{names[0]} and {names[1]}, {one.name} and {other.name}, are the same byte for byte: one "
-        f"is a copy of the other; {advice}"
+        f"{names[0]} and {names[1]}, {one.name} and {other.name}, are identical: one is a "
+        f"copy of the other; {advice}"
     )
 
 
 def intensity_hint(code: str, inputs: Iterable[Input]) -> str:
-    """Say what to give instead where an array has no intensity; empty for any other refusal."""
+    """Advise on arrays without intensity; empty for any other refusal."""
     arrays = (each for each in inputs if not isinstance(each.given, str | Path | PointCloud))
     if code != "no_intensity" or all(each.cloud.intensity is not None for each in arrays):
         return ""

@@ -81,7 +81,7 @@ def level_result(
     is_pair = isinstance(document, ResultDoc)
     names = [each.name for each in site.lidars]
     if lidar is not None and lidar not in names:
-        raise UsageError(f"no LiDAR is called {lidar!r}; there are {', '.join(names)}")
+        raise UsageError(f"no LiDAR is named {lidar!r}; there are {', '.join(names)}")
     viewers, inputs, used = list[Viewer](), [], list[int]()
     for item, path, _ in find_recordings(document, file.parent, given):
         if path is None or item.lidar in used:
@@ -98,7 +98,7 @@ def level_result(
         used.append(item.lidar)
         inputs.append(read)
     if not viewers:
-        raise UsageError(f"{file}: none of its recordings is there; give them after RESULT")
+        raise UsageError(f"{file}: none of its recordings was found; give them after RESULT")
     listener.progress("level")
     # The matrices are small: threads of BLAS only wait for each other.
     with threadpool_limits(1):

@@ -187,7 +187,7 @@ class _Reader(Thread):
                 self._arrival.notify()
 
     def _made(self, frame: Frame, came: float) -> float:
-        """Say when a sweep was made by this computer's clock, which its own may be far from."""
+        """Give the time of a sweep by this computer's clock, from which its own may differ much."""
         stamp = frame.stamp if frame.clock is None else frame.clock
         if stamp is None:
             return came
@@ -205,15 +205,16 @@ class _Reader(Thread):
 
     @property
     def words(self) -> str:
-        """Say why nothing comes, or what is odd about its clock; empty if nothing is."""
+        """State why nothing arrives, or what is odd about its clock; empty if nothing is."""
         if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
-            return f"left out, since no sweep comes{': ' + why if why else ''}"
+            return f"left out, since no sweep arrives{': ' + why if why else ''}"
         if self.lidar.clock is None and self.clock:
             way = "ahead of" if self.clock > 0 else "behind"
             return (
-                f"its clock is {abs(self.clock):.1f} s {way} that of this computer, judged by when "
-                "its sweeps come; sweeps are joined without that, the times of points are as sent"
+                f"its clock is {abs(self.clock):.1f} s {way} that of this computer, judged by "
+                "the arrival of its sweeps; sweeps are joined without this offset, the times of "
+                "points are as sent"
             )
         return ""
 
@@ -295,7 +296,7 @@ class LiveMerge:
         return True
 
     def _ready(self) -> list[tuple[int, _Received]]:
-        """Take the sweeps of a cloud, each with the index of its LiDAR; none if it is too early."""
+        """Read the sweeps of a cloud, each with the index of its LiDAR; none if it is too early."""
         used = [own for own in self._readers if own.lidar.name not in self.moved]
         waiting = [own.newest for own in used if own.newest is not None]
         is_late = any(own.newest is None and own.does_record for own in used)
@@ -328,7 +329,7 @@ class LiveMerge:
             try:
                 self.moved, words = self._work.get(0.0)
             except (RetropoleError, OSError, TimeoutError) as error:
-                words = f"the check failed: {quoting(str(error)) or 'it did not end'}"
+                words = f"the check failed: {quoting(str(error)) or 'it did not finish'}"
             self._work, self._due = None, now + self._every
             if words != self._about.get("", ""):
                 self._words.append(words)
@@ -340,7 +341,7 @@ class LiveMerge:
         return words
 
     def pace(self) -> Pace:
-        """Say how clouds kept up since this was last called."""
+        """Report the rate of clouds since the last call."""
         now = time.time()
         found = Pace(now - self._since, tuple(self._ages), dict(self._sweeps))
         self._since, self._ages = now, []
@@ -348,7 +349,7 @@ class LiveMerge:
         return found
 
     def close(self) -> None:
-        """Let go of sources, threads and processes."""
+        """Close sources, threads and processes."""
         for own in self._readers:
             own.is_closed = True
         for own in self._readers:
@@ -392,10 +393,12 @@ def merging_live(
         if name not in names:
             raise UsageError(f"no LiDAR is called {name!r}; there are {', '.join(names)}")
     if wish.out is not None and wish.out.suffix.lower() != ".mcap":
-        raise UsageError(f"{wish.out}: clouds of LiDARs that record now are written as .mcap")
+        raise UsageError(f"{wish.out}: clouds of live LiDARs are written as .mcap")
     at = placed(document, file, wish.frame)
     if at.finish is not None:
-        raise UsageError("coordinates of a map do not fit the float32 of a topic: take site")
+        raise UsageError(
+            "map coordinates are too large for the float32 values of a topic: use site"
+        )
     poses = dict(zip(names, at.poses, strict=True))
     used = [name for name in names if name in sources]
     origins = np.array([poses[name][:3, 3] for name in used])
@@ -514,6 +517,6 @@ def check_live(result: Path, frames: Mapping[str, Sequence[Frame]]) -> Checked:
     stated = {
         "same": "checked: no LiDAR has moved",
         "moved": f"checked: {', '.join(moved)} moved and is left out{why}",
-        "cannot_tell": f"checked: whether a LiDAR has moved cannot be determined{why}",
+        "cannot_tell": f"checked: it cannot be determined whether a LiDAR has moved{why}",
     }
     return Checked(moved, stated[status])

@@ -104,7 +104,7 @@ class Merged:
 
     @property
     def surfaces(self) -> list[str]:
-        """Say in words how far from each other surfaces lie, a line for each pair of LiDARs."""
+        """Describe the distances between surfaces, a line for each pair of LiDARs."""
         return fusing.in_words(self.distances, self.lidars)
 
 
@@ -163,11 +163,11 @@ def placed(
     poses = [np.array(lidar.T_site_lidar, dtype=float) for lidar in site.lidars]
     if epsg is not None or frame == MAP:
         if frame not in ("", MAP):
-            raise UsageError(f"--crs is of the frame map, not of {frame}")
+            raise UsageError(f"--crs belongs to the frame map, not to {frame}")
         if epsg is None and not has_map(site):
             raise UsageError(
                 f"the result has no frame map: its frame is {site.frame.name}; there are "
-                f"{', '.join(names)}, and --crs where the survey is on the earth"
+                f"{', '.join(names)}, and --crs if the survey is on the earth"
             )
         code = site.frame.epsg if epsg is None else epsg
         to_map = partial(to_frame, site.frame)
@@ -184,13 +184,15 @@ def placed(
     if frame == GROUND:
         level_file = file.with_name(LEVEL_FILE)
         if not level_file.exists():
-            raise UsageError(f"{level_file} is not there: 'retropole level' finds the ground")
+            raise UsageError(
+                f"{level_file} does not exist: 'retropole level' finds the ground and writes it"
+            )
         T_ground_site = loaded(level_file, lambda data: level_of(data, site.lidars)).T_ground_frame
         own = [T_ground_site @ pose for pose in poses]
         return Placed(GROUND, None, own)
     if frame not in ("", SITE) or (frame and isinstance(document, ResultDoc)):
         there = [*names, *[SITE] * isinstance(document, SiteDoc), *[MAP] * has_map(site), GROUND]
-        raise UsageError(f"no frame is called {frame!r}; there are {', '.join(there)}")
+        raise UsageError(f"no frame is named {frame!r}; there are {', '.join(there)}")
     return Placed(SITE if isinstance(document, SiteDoc) else names[0], None, poses)
 
 
@@ -269,10 +271,10 @@ def merge(
         raise UsageError(f"{out}: surfels are written as .ply")
     if surfels is not None and (voxel is not None or colour is not None):
         raise UsageError(
-            "surfels are made of all points, and have separate colours: no voxels, no colours"
+            "surfels use all points and have their own colours: leave out voxels and colours"
         )
     if surfels is None and out is None:
-        raise UsageError("a file to write is needed, or surfels to compare the LiDARs by")
+        raise UsageError("give a file to write, or surfels to compare the LiDARs")
     if suffix == ".mcap" and (voxel is not None or colour is not None):
         raise UsageError(
             "MCAP holds the sweeps one by one, without colours: voxels and colours are for .ply, "
@@ -287,7 +289,7 @@ def merge(
     if document.sways:
         notes.append("a LiDAR swayed while the calibration was recorded; no sweep is corrected")
     if static:
-        notes.append("what moved is left out as seen from LiDARs at rest; theirs must not have")
+        notes.append("moving objects can be left out only if the LiDARs are at rest")
     stream = _Stream(opened, at, len(names), crop, static, listener)
     about = _about(stream, at, names, [*warnings_of(document), *notes, *stream.notes], colour)
     made = Merged(tuple(names), at.name, at.epsg, stream.sweeps, stream.points)
@@ -315,7 +317,9 @@ def merge(
                 write(points, when)
                 written += len(points)
             if not written:
-                raise UsageError("no point is left: is the box of --crop in the frame written?")
+                raise UsageError(
+                    "no point is left: is the box of --crop given in the frame of the output?"
+                )
     notes += stream.notes
     return replace(
         made, written=written, moving=stream.moving, notes=notes, reasons=document.reasons
@@ -344,8 +348,8 @@ def _opened(
         others = [name for name, path in given.items() if recording_hash(path) not in hashes]
         if others:
             notes.append(
-                f"{', '.join(others)}: not the recordings of the calibration; they are in place as "
-                "long as no LiDAR has moved since"
+                f"{', '.join(others)}: not the recordings of the calibration; the clouds are "
+                "aligned only if no LiDAR has moved since"
             )
         left = [name for name in names if name not in given]
         if left:
@@ -365,7 +369,7 @@ def _opened(
                 topic = topics.get(names[item.lidar], how.topic)
                 to_open.append((item.lidar, there, how._replace(topic=topic)))
     if not to_open:
-        raise ReadError(f"{file}: none of its recordings is found; name them anew")
+        raise ReadError(f"{file}: none of its recordings was found; give their paths")
     opened = []
     for lidar, path, how in to_open:
         recording = open_recording(path, topic=how.topic, wanted=how.wanted)
@@ -408,10 +412,10 @@ class _Stream:
         if len(each.numbers) < MIN_FRAMES:
             self.notes.append(
                 f"{each.recording.path}: {counted(len(each.numbers), 'sweep')} do not show what "
-                f"moves, it takes {MIN_FRAMES}"
+                f"moves, {MIN_FRAMES} are needed"
             )
             return None
-        self.listener.progress(f"look what moves: {each.recording.path.name}")
+        self.listener.progress(f"find moving objects: {each.recording.path.name}")
         some = each.numbers[:: -(-len(each.numbers) // SWEEPS_FOR_STATIC)]
         return usual_view(
             in_metres(frame.cloud, each.how.unit) for frame in each.recording.read(some)
@@ -476,7 +480,7 @@ def _about(
     times = [cloud.time[0] for cloud in clouds if cloud.time is not None]
     bright = first["intensity"][np.isfinite(first["intensity"])]
     if colour == "intensity" and not len(bright):
-        raise UsageError("no LiDAR has intensities to colour by")
+        raise UsageError("no LiDAR has intensities for colours")
     low, high = np.percentile(bright, (2, 98)) if len(bright) else (0.0, 1.0)
     bottom, top = np.percentile(first["xyz"][:, 2], (1, 99))
     colours: dict[str, Callable[[Points], Rgb]] = {

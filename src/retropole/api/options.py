@@ -28,7 +28,7 @@ def keyword(field: str) -> str:
 
 
 def run_config(options: Mapping[str, object], others: RunConfig = DEFAULT_CONFIG) -> RunConfig:
-    """Take options by their keywords, and nothing else that is there; NumPy's numbers are as good.
+    """Make options from their keywords, and refuse other ones; NumPy's numbers are accepted.
 
     Options that are not there are taken of `others`.
 
@@ -66,7 +66,9 @@ def with_keywords(
     if unknown := older.keys() - set(map(keyword, RunConfig.__struct_fields__)):
         raise TypeError(f"unexpected keyword argument: {', '.join(unknown)}")
     if older:
-        words = f"{', '.join(older)}: give them by options, or sensor, threshold, topic or unit"
+        words = (
+            f"{', '.join(older)}: give them through options, or as sensor, threshold, topic or unit"
+        )
         warnings.warn(words, DeprecationWarning, stacklevel=3)
     return run_config({**given, **older}, options)
 
@@ -93,18 +95,20 @@ def checked_options(config: RunConfig) -> RunConfig:
     except (TypeError, AttributeError, OverflowError) as error:
         raise UsageError(f"an option has a value of the wrong type: {said(error)}") from None
     if config.at_m is not None and config.need_m is None:
-        raise UsageError("at is the distance for need, how accurate the answer must be: give both")
+        raise UsageError("at is the distance up to which the accuracy need must hold: give both")
     if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):
         raise UsageError(f"hypothesis is {config.hypothesis!r}, expected {LETTER}")
     spare = [f for f in NOT_OF_WALKS if getattr(config, f) != getattr(DEFAULT_CONFIG, f)]
     if config.carried and spare:
         names = ", ".join(keyword(field) for field in spare)
-        raise UsageError(f"of a pole that is carried there is no use for {names}: leave it out")
+        raise UsageError(f"{names} cannot be used with a pole that is carried: leave it out")
     pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
     if config.prior_xyz is not None and not config.map:
-        raise UsageError("prior_xyz (--prior-xyz) is a place in a map: give map (--map) as well")
+        raise UsageError("prior_xyz (--prior-xyz) is a position in a map: give map (--map) as well")
     if config.map and not config.refine:
-        raise UsageError("a map gives the pose by its surfaces: leave out refine (--no-refine)")
+        raise UsageError(
+            "in a map the pose is determined by surfaces: leave out refine (--no-refine)"
+        )
     sensors = (name_from(Path(), name) for name in (config.sensor_target, config.sensor_source))
     named = dict(zip(("sensor_target", "sensor_source"), sensors, strict=True))
     files = (("angles", config.angles), ("angles_source", config.angles_source))
@@ -118,11 +122,11 @@ NOT_OF_WALKS = (
 )
 """Options of poles that are set up that give no information about one that is carried."""
 
-LETTER = "a letter of the list of hypotheses, such as a"
+LETTER = "a letter from the list of hypotheses, such as a"
 
 
 def _in_words(message: str, config: RunConfig) -> str:
-    """Say which option is wrong, and what is expected there."""
+    """Report which option is wrong, and what is expected."""
     what, _, where = message.partition(" - at `$.")
     field = re.split(r"\W", where)[0]
     given, kind = f"{keyword(field)} is {getattr(config, field)!r}", OPTIONS[field].kind

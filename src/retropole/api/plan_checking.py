@@ -44,7 +44,7 @@ def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) 
     if of_pair and len(names) != 2:
         raise UsageError(
             f"{file} is a plan of {len(names)} LiDARs ({printable(', '.join(names))}), a plan of "
-            "the two that are calibrated is needed"
+            "the two LiDARs that are calibrated is needed"
         )
     for name in lidars:
         if name not in names:
@@ -55,7 +55,7 @@ def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) 
 
 
 def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = None) -> list[str]:
-    """Say which of the poles that one LiDAR, of the plan, sees is out of place."""
+    """Report which of the poles that one LiDAR of the plan sees is out of place."""
     compared = against_plan(plan, poles, lidar)
     several = len(plan.placements) > 1
     where = f" in placement {compared.placement + 1}" if several else ""
@@ -91,7 +91,7 @@ def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
         stated, planned = predicted_error(covariance, (at,))[0].sigma_m, planned_error(plan)
         ratio = stated / planned
         words = "as planned" if ratio < COSTLY else f"{ratio:.1f} times as much as planned"
-        by = " by its page, where poles were moved" if plan.moved is not None else ""
+        by = " by its page, since poles were moved" if plan.moved is not None else ""
         lines.append(f"error at {at:g} m: {error(stated)}, planned{by} {error(planned)}: {words}")
     return lines
 

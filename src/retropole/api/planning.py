@@ -20,10 +20,10 @@ from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from ..export import read_transform
 from ..pipeline import Options, calibrate
 from ..planning.place import Area, Station
+from ..planning.plan_text import plan_document
 from ..planning.planner import LENGTH, Planned
 from ..planning.planner import plan as plan_poles
 from ..planning.stations import bare_scan, place_drawn_lidars, place_lidars
-from ..planning.words import plan_document
 from ..report.pole_plan import render_pole_plan
 from ..report.pole_plan_picture import PlanPicture
 from ..result import DEFAULT_CONFIG, PLAN_FILE, PLAN_PAGE, RunConfig, encode
@@ -105,7 +105,7 @@ class PolePlan:
     planned: Planned
 
     def __repr__(self) -> str:
-        """Say where the poles are and what to expect, a line each."""
+        """Describe the positions of the poles and the expected result, a line each."""
         poles = [pole.words for each in self.document.placements for pole in each.poles]
         return "\n".join(["PolePlan:", *poles, *self.document.words])
 
@@ -246,7 +246,10 @@ def plan_site(
     known = {} if rough is None else _poses_in(rough)
     unknown = [name for name in names if known and name not in known]
     if unknown:
-        raise UsageError(f"no pose of {', '.join(unknown)} is given; there are {', '.join(known)}")
+        raise UsageError(
+            f"no pose of {', '.join(unknown)} is given; the poses given are those of "
+            f"{', '.join(known)}"
+        )
     first_pose = se3.inverse(known[names[0]]) if known else None
     poses = [None if first_pose is None else first_pose @ known[name] for name in names]
     return _planned(names, inputs, poses, wish, listener)
@@ -300,7 +303,7 @@ def _planned(
 ) -> PolePlan:
     listener.progress("read")
     scans = [bare_scan(each.cloud, each.sensor) for each in inputs]
-    listener.progress("stand the LiDARs")
+    listener.progress("place the LiDARs")
     poses = _poses(names, scans, rough)
     stations = place_lidars(names, scans, poses)
     planned = _ask(stations, wish, listener)
@@ -357,7 +360,7 @@ def _poses(
             T = next(_by_place(scans, found, i), None)
         if T is None:
             raise UsageError(
-                f"the recordings do not show where {names[i]} is: give its rough pose, good to "
+                f"the recordings do not show where {names[i]} is: give its rough pose, accurate to "
                 "10° and 1 m (--xyz and --rpy-deg, or --pose FILE)"
             )
         found.append(T)

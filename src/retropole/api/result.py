@@ -52,7 +52,7 @@ class Result(Generic[AnyDoc]):
     Attributes
     ----------
     document
-        Everything that was found, as in the file.
+        The whole result, as in the file.
     path
         The file that it was loaded from; None of a run.
     """
@@ -63,7 +63,7 @@ class Result(Generic[AnyDoc]):
 
     @property
     def beside(self) -> Path:
-        """Folder that paths in the document count from: of a result that was loaded, its own."""
+        """Folder to which paths in the document are relative: that of a loaded result."""
         return Path() if self.path is None else self.path.parent
 
     @property
@@ -73,23 +73,23 @@ class Result(Generic[AnyDoc]):
 
     @property
     def reasons(self) -> tuple[ReasonDoc, ...]:
-        """What is wrong or doubtful: code, message and values of each; empty when ok."""
+        """Errors or doubts: code, message and values of each; empty when ok."""
         return tuple(self.document.reasons)
 
     @property
     def notes(self) -> tuple[ReasonDoc, ...]:
-        """What to know of an answer that makes it no less true, in the same form."""
+        """Notes on an answer that do not make it doubtful, in the same form."""
         return tuple(self.document.notes)
 
     def __repr__(self) -> str:
-        """Say the verdict, what was found and the reasons, a line each."""
+        """The verdict, the pose and the reasons, one line each."""
         lines = [f"{type(self).__name__}: {self.status}"]
         return "\n".join(
             lines + [f"  {name:<16} {printable(value)}" for name, value in self._rows()]
         )
 
     def _repr_html_(self) -> str:
-        """Show what `repr` says in a notebook, as a table."""
+        """Show the content of `repr` in a notebook, as a table."""
         rows = "".join(
             f'<tr><th style="text-align:left">{escape(visible(name))}</th>'
             f'<td style="text-align:left">{escape(visible(value))}</td></tr>'
@@ -101,7 +101,7 @@ class Result(Generic[AnyDoc]):
         return [(reason.code, reason.message) for reason in self.reasons]
 
     def save(self, folder: str | Path, *, relative: bool = True) -> tuple[Path, Path]:
-        """Write the document and its page to a folder, never of two runs.
+        """Write the document and its page to a folder, never from two different runs.
 
         Of a pair ``result.json`` and ``report.html``, of a site ``site-result.json`` and
         ``site-report.html``. Of a result that was loaded, the recordings are read again.
@@ -122,7 +122,7 @@ class Result(Generic[AnyDoc]):
         Raises
         ------
         ReadError, MissingExtraError
-            Of a loaded result, where a recording of the run is not found, of a site where it cannot
+            For a loaded result, if a recording of the run is not found, or for a site cannot
             be read.
         OSError
             If the folder cannot be written to.
@@ -142,7 +142,7 @@ class Result(Generic[AnyDoc]):
         site: str,
         serials: Mapping[str, str] | None,
     ) -> Path:
-        """Write the page alone, of recordings that may be at another place now."""
+        """Write the page alone, from recordings that may have another path now."""
         stored = self._recorded([Path(cloud) for cloud in clouds])
         page = render_report(
             self.document, stored.scans, notes=stored.notes, site=site, serials=serials
@@ -151,7 +151,7 @@ class Result(Generic[AnyDoc]):
         return Path(path)
 
     def _recorded(self, clouds: Sequence[Path] = ()) -> StoredScans:
-        """Take the scans of the run, or read them again."""
+        """Use the scans of the run, or read them again."""
         scans = self._scans
         if scans is not None and not clouds:
             return StoredScans(scans, ())
@@ -173,8 +173,8 @@ class CalibrationResult(Result[ResultDoc]):
         Everything that was found, as in ``result.json``: hypotheses, poles, the uncertainty,
         the inputs with their hashes, the options, the time of each step.
     placements
-        What was recorded and found, one for each placement of the poles; None of a result that was
-        loaded.
+        Recordings and poles, one for each placement of the poles; None for a loaded
+        result.
     path
         The file that it was loaded from; None of a run.
     """
@@ -196,9 +196,9 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def uncertainty(self) -> Uncertainty | None:
-        """`covariance` in its two kinds, random and systematic, and the error budget.
+        """The two parts of `covariance`, random and systematic, and the error
 
-        None when refused, and of a result of a version that did not state it.
+        budget. None when refused, and for a result of a version without it.
         """
         return self.document.whole_uncertainty
 
@@ -209,10 +209,10 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def confirmation(self) -> Confirmation | None:
-        """What the scene shows about the pose: how many voxels agree or conflict with it.
+        """The scene check of the pose: how many voxels agree or conflict with it.
 
-        None if the run was refused before the scene was used, and of a result of a version
-        that did not state it.
+        None if the run was refused before the scene was used, and for a result of
+        a version without it.
         """
         return self.document.confirmation
 
@@ -235,12 +235,12 @@ class CalibrationResult(Result[ResultDoc]):
         return tuple(self.document.predicted_error or ())
 
     def required_transform(self) -> Array:
-        """Give (4, 4) ``T_target_source``, or say why there is none.
+        """Give (4, 4) ``T_target_source``, or raise the reason why there is none.
 
         Raises
         ------
         Refusal
-            With the code of the result's first reason, where the calibration was refused.
+            With the code of the result's first reason, if the calibration was refused.
         """
         T = self.T_target_source
         if T is None:
@@ -289,18 +289,18 @@ class CalibrationResult(Result[ResultDoc]):
         path
             The file to write.
         clouds
-            Of a loaded result, where its inputs are now: target and source of each placement.
-            Without, they are looked for where they were, and next to the result.
+            Of a loaded result, the paths of its inputs now: target and source of each placement.
+            Without, they are searched for at their old paths, and next to the result.
         site, serials
-            For the certificate, the page's first sheet on paper: where it was calibrated, and the
-            serial numbers of the target and the source LiDAR.
+            For the certificate, the page's first sheet on paper: the place of the calibration, and
+            the serial numbers of the target and the source LiDAR.
 
         Raises
         ------
         ReadError, MissingExtraError
             Of a loaded result, where an input is not found or cannot be read.
         UsageError
-            Where not as many clouds are given as the result has.
+            If the number of clouds is not that of the result.
         OSError
             If the file cannot be written.
         """
@@ -410,7 +410,7 @@ class SiteResult(Result[SiteDoc]):
     def covariance(self, a: str, b: str) -> Array:
         """Give (6, 6) of `T`, over ``[φ, δ]``, rad and m, axes of a.
 
-        What the poses of a and b have in common cancels: it is less than the sum of both.
+        Common errors of the poses of a and b cancel: it is less than the sum of both.
 
         Parameters
         ----------
@@ -447,8 +447,8 @@ class SiteResult(Result[SiteDoc]):
         path
             The file to write.
         clouds
-            Of a loaded result, where its recordings are now, in any order: each is identified by
-            its hash. The others are looked for where they were, and next to the result.
+            Of a loaded result, the paths of its recordings now, in any order: each is identified by
+            its hash. The others are searched for at their old paths, and next to the result.
         site, serials
             For the certificate, the page's first sheet on paper: where it was calibrated, and
             serial numbers by the names of LiDARs. Without, what the site file said.

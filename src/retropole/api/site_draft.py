@@ -88,14 +88,16 @@ def draft_site(folder: Path, path: Path) -> Draft:
     if len(lidars) < 2:
         raise UsageError(
             f"{folder}: recordings of one LiDAR, {lidars[0]}, in {_list(placements, 'placement')}; "
-            "a site has two LiDARs at least"
+            "a site has at least two LiDARs"
         )
     text = _written(folder, path, lidars, placements, recordings)
     try:
         decode_site_file(text.encode())
     except (ReadError, UnicodeEncodeError) as error:
         # Names that no site file can hold: too long, not printable, too many.
-        raise UsageError(f"{folder}: its names make no site file: {said(error)}") from None
+        raise UsageError(
+            f"{folder}: its file names cannot be turned into a site file: {said(error)}"
+        ) from None
     missing = [
         f"{lidar} has no recording of placement {placement}"
         for lidar in lidars
@@ -140,7 +142,7 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
     with readable(folder), os.scandir(folder) as entries:
         names = [entry.name for entry in islice(entries, MOST_ENTRIES + 1)]
     if len(names) > MOST_ENTRIES:
-        raise UsageError(f"{folder}: has more than {MOST_ENTRIES} entries, no site has so many")
+        raise UsageError(f"{folder}: has more than {MOST_ENTRIES} entries, too many for a site")
     files, folders, others = list[Path](), list[Path](), list[str]()
     for name in _ordered(names):
         path = folder / name
@@ -156,7 +158,7 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
 
 
 def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
-    """Take LiDAR and placement from the name of each file, or the placement from its time."""
+    """Read LiDAR and placement from the name of each file, or the placement from its time."""
     if all(TIMED.search(_name(path)) for path in files):
         return _by_times(files)
     both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
@@ -164,8 +166,8 @@ def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
     others = [path.name for path, match in both.items() if not match]
     if named and others:
         raise UsageError(
-            f"{folder}: {_quoted(named)} may be LIDAR_PLACEMENT, {others[0]} is not; name all the "
-            "same way"
+            f"{folder}: {_quoted(named)} may be LIDAR_PLACEMENT, {others[0]} is not; name all in "
+            "the same way"
         )
     if len({match[1] for match in both.values() if match}) == 1:
         # lidar-1.pcd and lidar-2.pcd: of one LiDAR there is no site, so they are two.
@@ -177,7 +179,7 @@ def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
 
 
 def _by_times(files: Sequence[Path]) -> list[tuple[str, str, Path]]:
-    """Take the LiDAR from what a name has besides the time; what is near in time is one
+    """Read the LiDAR from the part of a name besides the time; recordings near in time are one
     placement.
 
     Near is nearer than half of the least time between two recordings of one LiDAR.
@@ -218,7 +220,7 @@ def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> list[tuple[str
         both = "both" if of_lidars else "neither"
         raise UsageError(
             f"{folder}: folders {_quoted(outer)} hold {_quoted(within)}, and {both} look like "
-            "numbers of placements; name the placements 1, 2, …, and the LiDARs otherwise"
+            "numbers of placements; name the placements 1, 2, …, and the LiDARs differently"
         )
     named = [(name, _name(path), path) for name, paths in inner.items() for path in paths]
     return named if of_lidars else [(inside, name, path) for name, inside, path in named]
@@ -231,7 +233,7 @@ def _by_names(named: Sequence[tuple[str, str, Path]]) -> Recordings:
         other = found.setdefault((lidar, placement), path)
         if other != path:
             raise UsageError(
-                f"{other} and {path} are both {lidar} in placement {placement}; leave one of them"
+                f"{other} and {path} are both {lidar} in placement {placement}; keep one of them"
             )
     return found
 

@@ -194,7 +194,7 @@ def read_site_file(path: Path) -> SiteFile:
 
 
 def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
-    """Take a site file from its bytes; files that it names are in its folder.
+    """Read a site file from its bytes; paths in it are relative to its folder.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
         If it is none; names the key and what was expected.
     """
     if len(data) > LARGEST_SITE_FILE:
-        raise ReadError(f"more than {LARGEST_SITE_FILE} bytes, no site file is so long")
+        raise ReadError(f"more than {LARGEST_SITE_FILE} bytes, too long for a site file")
     for k, line in enumerate(data.splitlines(), 1):
         if line.count(b".") > MOST_DOTS:
             raise ReadError(f"line {k} has more than {MOST_DOTS} dots; break it")
@@ -278,7 +278,7 @@ def _keys_at(steps: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _faults(site: SiteFile) -> Iterator[str]:
-    """Say what is wrong that the types of the keys cannot say."""
+    """Report errors that the types of the keys do not cover."""
     yield from _names(site)
     for lidar in site.lidar:
         yield from _lidar_faults(lidar, len(site.placements))
@@ -287,7 +287,7 @@ def _faults(site: SiteFile) -> Iterator[str]:
         yield from _walk_faults(site)
     names = [lidar.name for lidar in site.lidar]
     if site.columns is not None and site.survey is None:
-        yield "columns: expected survey, the file that has them"
+        yield "columns: expected survey, the file with these columns"
     for pole in site.surveyed_pole:
         of = f"surveyed_pole {pole.name}"
         if pole.placement not in site.placements:
@@ -310,7 +310,7 @@ def _faults(site: SiteFile) -> Iterator[str]:
 
 
 def _walk_faults(site: SiteFile) -> Iterator[str]:
-    """Say what does not go together with a pole that is carried."""
+    """Report keys that cannot be used with a pole that is carried."""
     if len(site.placements) > 1:
         yield (
             f"carried: a walk is one recording of each LiDAR, expected one placement; there are "
@@ -325,7 +325,7 @@ def _walk_faults(site: SiteFile) -> Iterator[str]:
         "lidar, mast_sway_deg": any(lidar.mast_sway_deg is not None for lidar in site.lidar),
     }
     for key in (key for key, is_there in tables.items() if is_there):
-        yield f"{key}: of a pole that is carried there is no use for it: leave it out"
+        yield f"{key}: cannot be used with a pole that is carried: leave it out"
 
 
 def _end_faults(
@@ -336,18 +336,18 @@ def _end_faults(
     by_value: str,
     sigmas: str,
 ) -> Iterator[str]:
-    """Say what is wrong with one surveyed place, given by its name or by its coordinates."""
+    """Report errors of one surveyed place, given by its name or by its coordinates."""
     named, at, own = (getattr(table, key) for key in (by_name, by_value, sigmas))
     if named is not None and at is not None:
         yield f"{of}: expected {by_name} or {by_value}, not both"
     if named is not None and site.survey is None:
-        yield f"{of}, {by_name}: expected survey, the file that has {named!r}"
+        yield f"{of}, {by_name}: expected survey, the file with {named!r}"
     if at is not None and table.sigma_m is None and own is None:
         yield f"{of}: missing key sigma_m"
 
 
 def _names(site: SiteFile) -> Iterator[str]:
-    """Say which names are none, or are given twice."""
+    """Report names that are invalid, or given twice."""
     for what, names in (
         ("name", [site.name]),
         ("placements", site.placements),
@@ -365,30 +365,30 @@ def _twice(what: str, names: Sequence[str]) -> Iterator[str]:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            yield f"{what}: {name!r} is there twice, expected another for each"
+            yield f"{what}: {name!r} appears twice, expected different names"
         seen.add(name)
 
 
 def _no(name: str, known: Sequence[str]) -> str:
-    return f"{name!r} is none, expected one of {', '.join(known)}"
+    return f"{name!r} is unknown, expected one of {', '.join(known)}"
 
 
 def _lidar_faults(lidar: LidarTable, placements: int) -> Iterator[str]:
     of = f"lidar {lidar.name}"
     if len(lidar.recordings) != placements:
         yield (
-            f"{of}, recordings: expected {placements}, one for each of the placements, "
-            f'"" where there is none; there are {len(lidar.recordings)}'
+            f"{of}, recordings: expected {placements}, one for each placement, "
+            f'"" if there is none; there are {len(lidar.recordings)}'
         )
     if not any(lidar.recordings):
-        yield f"{of}, recordings: expected one at least"
+        yield f"{of}, recordings: expected at least one"
     for key, paths in (("recordings", lidar.recordings), ("angles", [lidar.angles or ""])):
         if any("\0" in path for path in paths):
-            yield f"{of}, {key}: no path has a null character"
+            yield f"{of}, {key}: a path cannot contain a null character"
     if lidar.up is not None and not any(abs(value) > 1e-3 for value in lidar.up):
-        yield f"{of}, up: expected a direction; this has no length"
+        yield f"{of}, up: expected a direction; this vector has zero length"
     if (lidar.up is None) != (lidar.up_sigma_deg is None):
-        yield f"{of}: up and up_sigma_deg need each other"
+        yield f"{of}: up and up_sigma_deg must be given together"
     try:
         sensor_or_auto(lidar.sensor)
     except RetropoleError as error:
@@ -410,12 +410,12 @@ def _reference_faults(site: SiteFile) -> Iterator[str]:
         yield f"reference, lidar: {other}, which fixes the frame; leave lidar out"
     if frame_given and not site.surveyed:
         yield (
-            "reference: expected a [[surveyed_pole]] or [[control_point]]: nothing else ties the "
-            "site to a frame of the survey"
+            "reference: expected a [[surveyed_pole]] or [[control_point]]: otherwise the site has "
+            "no relation to the frame of the survey"
         )
     origin = (given.latitude_deg, given.longitude_deg, given.height_m)
     if any(value is not None for value in origin):
         if given.frame != "enu":
             yield 'reference: latitude_deg, longitude_deg and height_m need frame = "enu"'
         if None in origin:
-            yield "reference: latitude_deg, longitude_deg and height_m need each other"
+            yield "reference: latitude_deg, longitude_deg and height_m must be given together"

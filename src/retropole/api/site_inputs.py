@@ -81,7 +81,7 @@ class SiteInputs:
 
 
 def site_file_in(path: Path) -> Path:
-    """Take the site file in a folder; a file as it is.
+    """Find the site file in a folder; a file is returned unchanged.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def site_file_in(path: Path) -> Path:
         path = path / SITE_FILE
     if not path.exists() and path.parent.is_dir():
         raise ReadError(
-            f"{path.parent}: holds no {path.name}; 'retropole site init {path.parent}' writes "
+            f"{path.parent}: has no {path.name}; 'retropole site init {path.parent}' writes "
             f"{SITE_FILE} from the recordings in it"
         )
     return path
@@ -146,7 +146,7 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
 
 
 def with_survey(file: SiteFile, path: Path) -> SiteFile:
-    """Put in the coordinates, and 1 σ of each, of the points of the survey that a site file names.
+    """Insert the coordinates, and 1 σ of each, of the survey points that a site file names.
 
     A `sigma_m` that the site file gives goes before that of the survey.
 
@@ -178,7 +178,7 @@ def with_survey(file: SiteFile, path: Path) -> SiteFile:
             if is_given:
                 return {at: found.at.tolist()}
             if found.sigma is None:
-                raise ReadError("has no 1 σ of each coordinate; give sigma_m in the site file")
+                raise ReadError("has no 1 σ for each coordinate; give sigma_m in the site file")
             if not LEAST_SIGMA <= found.sigma.min() <= found.sigma.max() <= LARGEST_SIGMA:
                 raise ReadError(
                     f"its 1 σ are {found.sigma.tolist()}, expected {LEAST_SIGMA:g} to "
@@ -229,7 +229,7 @@ def _where(file: SiteFile, path: Path, lidar: int, placement: int) -> str:
 
 
 def inputs_of(site: Site) -> SiteInputs:
-    """Say of a site that was put together in Python what it was made of.
+    """Describe the input of a site that was built in Python.
 
     Raises
     ------
@@ -262,11 +262,13 @@ def check_site(site: Site) -> None:
         if len(lidar.clouds) != len(site.placements) or not recorded:
             raise UsageError(
                 f"{lidar.name} has {len(lidar.clouds)} clouds, expected {len(site.placements)}, "
-                "one for each placement or None, and one at least"
+                "one for each placement or None, and at least one"
             )
     tied = site.poles or site.points or any(lidar.up is not None for lidar in site.lidars)
     if site.carried and (len(site.placements) > 1 or tied):
-        raise UsageError("a walk has one placement, and nothing that is surveyed and no lidar's up")
+        raise UsageError(
+            "a walk has one placement, without surveyed points and without up of a lidar"
+        )
     if not 0 <= site.reference < len(names):
         raise UsageError(f"reference is {site.reference}, expected 0 to {len(names) - 1}")
 
@@ -376,8 +378,8 @@ def offset_of(file: SiteFile) -> Array:
     worst = int(np.argmax(away))
     if away[worst] > LARGEST_SITE:
         raise ReadError(
-            f"{surveyed[worst][0]}: lies {length(float(away[worst]))} from the middle of what is "
-            f"surveyed, expected {LARGEST_SITE:g} m at most: is a digit wrong?"
+            f"{surveyed[worst][0]}: lies {length(float(away[worst]))} from the middle of the "
+            f"surveyed points, expected {LARGEST_SITE:g} m at most: is a digit wrong?"
         )
     return np.asarray(OFFSET_STEP * np.round(places.mean(axis=0) / OFFSET_STEP)) + 0.0
 
@@ -413,6 +415,6 @@ def repeated(read: SiteInputs, documents: Sequence[RecordingDoc]) -> Refusal | N
         documents,
         lambda first, second: (
             f"{names[first]} and {names[second]}, {inputs[first].name} and {inputs[second].name}, "
-            "are the same byte for byte; give each LiDAR and placement a separate recording"
+            "are identical; give each LiDAR and placement a separate recording"
         ),
     )

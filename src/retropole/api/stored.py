@@ -1,6 +1,6 @@
 """The recordings of a stored result, of a pair or a site: found, read and searched for poles again.
 
-They are read as the run did, wherever they lie now: files that a document names are seen from its
+They are read as in the run, from their present paths: paths in a document are relative to its
 folder, so that both may be moved together.
 """
 
@@ -48,28 +48,28 @@ SENSOR_KEYS, ANGLES_KEYS = ("sensor", "sensor_target", "sensor_source"), ("angle
 """Fields of documents that may name a file about a LiDAR, and those that do."""
 
 SAME_POLE_DISTANCE = 1e-3
-"""Poles found again are those of the result where none lies further from it than this, metres."""
+"""Poles found again are those of the result if none is farther from it than this, metres."""
 
 MOST_NOTES = 3
 """At most this many recordings that a page does not show are named with the reason; others are
 counted."""
 
-MAY_DIFFER = "the picture may not be that of the figures"
-"""What a recording that is not the one of the run means for a page."""
+MAY_DIFFER = "the picture may not belong to these figures"
+"""Note on a page if a recording is not the one of the run."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredScans:
-    """What was recorded in a stored run, and found in it.
+    """The recordings of a stored run, and the poles found in them.
 
     Attributes
     ----------
     scans
         For each LiDAR, target and source of a pair, that of each placement; None if there is
-        none to show. Where the poles found again are not those that the result lists, the detection
+        none to show. If the poles found again are not those that the result lists, the detection
         is None.
     notes
-        One sentence on each recording that is not there, or is another; empty if all are.
+        One sentence on each recording that is missing, or has changed; empty if there is none.
     """
 
     scans: Sequence[Sequence[Scan | None]]
@@ -77,9 +77,9 @@ class StoredScans:
 
 
 class Recording(NamedTuple):
-    """A recording of a stored run and where it is now, None if there is none to show.
+    """A recording of a stored run and its present path, None if there is none to show.
 
-    `fault` says what is wrong there.
+    `fault` is the reason.
     """
 
     item: RecordingDoc
@@ -95,15 +95,15 @@ def scans_of(
 ) -> StoredScans:
     """Read the recordings that a result names, and find the poles in them again.
 
-    Those of a pair must all be there. Of a site what is not there, or is another file, is left out:
-    the others show the site as well.
+    Those of a pair must all exist. For a site, missing or changed files are left out: the
+    others show the site as well.
 
     Parameters
     ----------
     document, beside, given
         As `find_recordings` takes them.
     progress
-        Called with which recording of how many is read.
+        Called with the number of the recording that is read, and the number of all.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def scans_of(
 def find_recordings(
     document: ResultDoc | SiteDoc, beside: Path, given: Sequence[Path] = ()
 ) -> list[Recording]:
-    """Take the recordings given, or look for those of a result, as its run read them.
+    """Use the given recordings, or search for those of a result, as its run read them.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def find_recordings(
         The result document.
     beside
         Folder of the result: recordings are looked for by their path from there and from here, and
-        by their name there; of several that are found, the one of the run is taken.
+        by their name there; of several that are found, the one of the run is used.
     given
         Where recordings are now: of a pair, target and source of each placement; of a site, in any
         order: each is identified by its hash.
@@ -164,13 +164,13 @@ def find_recordings(
         )
     if not is_site and given and len(given) != count:
         raise UsageError(
-            f"{len(given)} clouds are given, the result has {count}: TARGET and SOURCE of each "
-            "placement, or none to look for them"
+            f"{len(given)} clouds are given, the result has {count}: give TARGET and SOURCE of "
+            "each placement, or none to have them looked up"
         )
     known = {hash_of(path): path for path in given} if is_site else {}
     for sha256 in known.keys() - {item.sha256 for item in document.inputs}:
         raise UsageError(
-            f"{known[sha256]}: is no recording of this result: none has its SHA-256, {sha256[:12]}…"
+            f"{known[sha256]}: is no recording of this result: none has the SHA-256 {sha256[:12]}…"
         )
     site = with_sensors_from(as_site(document), beside)
     for k, item in enumerate(site.inputs):
@@ -192,7 +192,7 @@ def find_recordings(
 def find_recording(item: InputDoc, beside: Path) -> Path:
     """Look for one recording of a result; see `find_recordings`."""
     if item.path in ("", ARRAY_SOURCE):
-        raise ReadError("a cloud of the run was an array, which is in no file")
+        raise ReadError("a cloud of the run was an array, not a file")
     path = Path(item.path)
     names = dict.fromkeys([beside / path, path, beside / path.name])
     places = [path_of_text(str(name)) for name in names]
@@ -250,12 +250,12 @@ def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: s
 
 
 def difference(item: InputDoc, path: Path, sha256: str) -> str:
-    """Say that a file of this hash is not the one that the run read; empty if it is."""
+    """Report that a file with this hash is not the one that the run read; empty if it is."""
     if sha256 == item.sha256:
         return ""
     return (
         f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 "
-        f"begins {sha256[:12]}, that of the run {item.sha256[:12]}"
+        f"begins with {sha256[:12]}, that of the run with {item.sha256[:12]}"
     )
 
 
@@ -274,7 +274,7 @@ def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
 
 
 def decode_any(data: bytes) -> ResultDoc | SiteDoc:
-    """Take a result document, of two LiDARs or of a site."""
+    """Read a result document, of two LiDARs or of a site."""
     return result_in(data) or decode(data)
 
 
@@ -296,14 +296,14 @@ def with_poses(result: str | Path) -> tuple[Path, ResultDoc | SiteDoc]:
 
 
 def decode_pair(file: Path, data: bytes) -> ResultDoc:
-    """Take a result document of two LiDARs; says so of one of a site."""
+    """Return a result document of two LiDARs; refuse one of a site."""
     try:
         return decode(data)
     except ReadError:
         if not is_result(data, SITE_SCHEMA):
             raise
         raise ReadError(
-            f"the result of a site, not of two LiDARs; its report is "
+            f"is the result of a site, not of two LiDARs; its report is "
             f"{file.with_name(SITE_REPORT_FILE)}, and rp.load_site_result loads it"
         ) from None
 
@@ -324,10 +324,10 @@ def recording_of(
     result
         A result document, its folder, or another file of a transform.
     given
-        Where the clouds are, target and source of each placement; without, they are looked for as
-        `find_recordings` does.
+        Paths of the clouds, target and source of each placement; without, they are searched for as
+        by `find_recordings`.
     note
-        Called with what is to be known of what is written.
+        Called with notes on the output.
     listener
         Receives each cloud once it is read.
 
@@ -380,14 +380,14 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
     document
         Of a pair or of a site.
     folder
-        Where it is going to be.
+        Its future folder.
     beside
-        Folder that its paths count from now; else they are those from here.
+        Folder to which its paths are relative now; else the working folder.
 
     Returns
     -------
     AnyDoc
-        What is no file that is there, as an array, and what is on another drive, keeps its name.
+        Names that are not existing files, such as arrays, and files on another drive are kept.
     """
 
     def name(text: str) -> str:
@@ -399,7 +399,7 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
 def renamed(
     document: AnyDoc, name: Callable[[str], str], of_lidar: Callable[[str], str] = str
 ) -> AnyDoc:
-    """Call the files of a document otherwise, and those of what is known of its LiDARs.
+    """Rename the files of a document, and those with data of its LiDARs.
 
     These are files of sensors and of angles.
     """
@@ -418,7 +418,7 @@ def renamed(
 
 
 def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
-    """Give the files of sensors and of angles that a document names so that they are found from
+    """Give the files of sensors and of angles of a document by paths that are valid from
     anywhere.
 
     Parameters
@@ -436,8 +436,8 @@ def _name(text: str, folder: Path, beside: Path) -> str:
     place = next((p for p in (given and beside / given, given) if p and p.exists()), None)
     if place is None:
         return text
-    # Links to folders are followed, as the system does where it goes up from one; a link to the
-    # file is not: it is what is next to the document.
+    # Links to folders are followed, as the system does when it goes up from one; a link to the
+    # file is not: it is the file next to the document.
     real = Path(os.path.realpath(place.parent), place.name)
     try:
         relative = os.path.relpath(real, os.path.realpath(folder))

@@ -1,4 +1,4 @@
-"""`watch`: two LiDARs that record now, from the first sweep to the answer that is good enough."""
+"""`watch`: two live LiDARs, from the first sweep to an answer that is accurate enough."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ from .checking import CheckResult, Stored, check_recordings
 from .result import CalibrationResult
 
 RECORDING = "placement{}.mcap"
-"""What the recording of a placement is called, from 1."""
+"""Name of the recording of a placement, numbered from 1."""
 
-WORKING_OUT = Advice("calibrating", "Good: the answer is worked out.", True)
+WORKING_OUT = Advice("calibrating", "Good: the answer is being computed.", True)
 
 T = TypeVar("T")
 
@@ -80,9 +80,9 @@ class Wish:
     config
         As of a calibration: radius, sensors, thresholds, the need.
     names
-        What words call target and source.
+        Names of target and source in messages.
     sweeps
-        Of each LiDAR that are kept of a placement.
+        Number of sweeps of each LiDAR that are kept for a placement.
     plan
         Planned positions of the poles; with its names of the LiDARs as `names`.
     stored
@@ -101,13 +101,13 @@ class Wish:
         Raises
         ------
         UsageError
-            Where the plan has no LiDARs of these names.
+            If the plan has no LiDARs with these names.
         """
         planned = None if self.plan is None else {each.name for each in self.plan.lidars}
         if planned is not None and not planned >= set(self.names):
             raise UsageError(
-                f"the plan is for {', '.join(sorted(planned))}: name both LiDARs so, not "
-                f"{' and '.join(self.names)}"
+                f"the plan is for {', '.join(sorted(planned))}: use these names for both LiDARs, "
+                f"not {' and '.join(self.names)}"
             )
 
 
@@ -123,18 +123,18 @@ class Watch:
     out
         Folder for recordings, result, report and certificate.
     clock
-        Seconds that go on.
+        Monotonic seconds.
 
     Attributes
     ----------
     result, checked
         The answer; None before there is one.
     published
-        The answer on ``/tf_static``, for as long as it is there.
+        The answer on ``/tf_static``, as long as it is published.
     written
         Files that were written.
     is_over
-        Whether the answer is good enough, or nothing more will come.
+        Whether the answer is good enough, or no more data will arrive.
     """
 
     def __init__(
@@ -158,11 +158,11 @@ class Watch:
         self._words: deque[str] = deque(maxlen=40)
         self._capture: Capture | None = None
         self._kept: Capture | None = None
-        # What is full, and could not be written yet.
+        # Placements that are complete, but could not be written yet.
         self._unwritten: Capture | None = None
         self._no_room: tuple[Advice, float] | None = None
         self._recorded = 0
-        # Recordings, and the SHA-256 of what was captured.
+        # Recordings, and the SHA-256 of the captured data.
         self._used: dict[Path, str] = {}
         self._trial: Future[CalibrationResult] | None = None
         self._work: Future[CalibrationResult | CheckResult] | None = None
@@ -170,7 +170,7 @@ class Watch:
         self._outcome: Outcome | None = None
 
     def step(self) -> WatchDoc:
-        """Take what has come, and say what is seen and what is to be done."""
+        """Process new data, and report what is seen and the next action."""
         for k in range(len(self._lidars)):
             self._take(k)
         now = self._clock()
@@ -178,7 +178,7 @@ class Watch:
         return self._document_of(self._next(now), now)
 
     def finish(self) -> list[Path]:
-        """Keep what was not kept yet, certify the LiDARs where that can be, let go of the sources.
+        """Write remaining data, run the field test of the LiDARs if possible, close the sources.
 
         Returns
         -------
@@ -206,44 +206,44 @@ class Watch:
         return self.written
 
     def frames(self) -> tuple[str, str] | None:
-        """Name the frames that the sweeps come in, which `publish` takes; None before both came.
+        """Give the frames of the sweeps, for `publish`; None before both sent sweeps.
 
         Raises
         ------
         UsageError
-            Where nothing published can fit the sweeps: they name no frame, both the same, or what
-            can be no name.
+            If no transform can refer to the sweeps: they have no frame_id, the same one,
+            or an invalid name.
         """
         for own, name in zip(self._lidars, self._wish.names, strict=True):
             if own.frame_id == "":
                 raise UsageError(
-                    f"the sweeps of {name} name no frame, so nothing on /tf_static could fit them: "
-                    "watch without --publish, then retropole export"
+                    f"the sweeps of {name} have no frame_id, so no transform on /tf_static could "
+                    "refer to them: watch without --publish, then use retropole export"
                 )
         target, source = (each.frame_id for each in self._lidars)
         if target is None or source is None:
             return None
         if target == source:
             raise UsageError(
-                f"the sweeps of both LiDARs name the frame {target!r}, so nothing on /tf_static "
-                "could place one to the other: give each driver a frame_id of its own"
+                f"the sweeps of both LiDARs name the frame {target!r}, so no transform "
+                "on /tf_static could relate them: give each driver a different frame_id"
             )
-        # As what is published, so that a name that no frame can have is found now.
+        # As for publishing, so that an invalid name of a frame is found now.
         Transform(np.eye(4), target, source)
         return target, source
 
     def publish(self, *, domain: int | None = None, interface: str | None = None) -> None:
-        """Publish the answer on ``/tf_static``, between the frames that the sweeps came in.
+        """Publish the answer on ``/tf_static``, between the frames of the sweeps. The
 
-        What was published before is withdrawn. Where the frames are such no longer that it fits
-        them, a note says so.
+        previous one is withdrawn. If the frames have changed so that it no longer
+        applies, a note reports it.
 
         Raises
         ------
         UsageError, MissingExtraError
             As `export.recording.publish`.
         Refusal
-            Where the answer was refused.
+            If the answer was refused.
         """
         self.withdraw()
         assert self.result is not None
@@ -254,23 +254,25 @@ class Watch:
             self._note(f"not published: {error}")
             return
         if now is None or now != (found.parent, found.child):
-            self._note("not published: the sweeps have other frames now than were calibrated")
+            self._note(
+                "not published: the sweeps have other frames now than during the calibration"
+            )
             return
         self.published = publish([choose([found], *now)], domain=domain, interface=interface)
         self._note(f"published on /tf_static: {now[0]} to {now[1]}")
 
     def withdraw(self) -> None:
-        """Publish the answer before this one no longer."""
+        """Withdraw the previous answer."""
         if self.published is not None:
             self.published.withdraw()
             self.published = None
             self._note(
-                "withdrawn from /tf_static: the answer before no longer holds; what heard it keeps "
-                "it until it is restarted"
+                "withdrawn from /tf_static: the previous answer is no longer valid; programs "
+                "that received it keep it until they are restarted"
             )
 
     def _take(self, k: int) -> None:
-        """Take the newest sweep of a LiDAR; keep it where sweeps are kept."""
+        """Read the newest sweep of a LiDAR; keep it while sweeps are kept."""
         radius, busy = self._wish.config.radius_m, self._work is not None
         received = take(self._lidars[k], radius, self._clock, busy=busy)
         for words in received.messages:
@@ -281,7 +283,7 @@ class Watch:
             self._capture = self._capture.with_frame(k, received.frame)
 
     def _next(self, now: float) -> Advice:
-        """Say what is to be done; keep sweeps while all is good, and work out the answer."""
+        """Report the next action; keep sweeps while all is good, and compute the answer."""
         again = another(len(self._used))
         if self.checked is not None:
             return Advice(
@@ -325,7 +327,7 @@ class Watch:
         return [each.view.tracks for each in self._lidars]
 
     def _seen(self, now: float) -> Advice:
-        """Say what is to be done about what is seen, then about where the plan has the poles."""
+        """Give advice on the current view, then on deviations from the plan."""
         views = [each.view for each in self._lidars]
         advice = advise(views, now, needs_poles=self._wish.stored is None)
         if not advice.is_good or self._wish.plan is None:
@@ -345,7 +347,7 @@ class Watch:
     def _keep(self, capture: Capture, now: float) -> Advice:
         """Write a placement, and calibrate by all of them, or check by this one.
 
-        Where it cannot be written it stays in memory, and is tried again.
+        If it cannot be written it stays in memory, and is tried again.
         """
         if self._unwritten is None:
             for lidar in self._lidars:
@@ -373,13 +375,13 @@ class Watch:
         return WORKING_OUT
 
     def _is_to_wait(self, now: float) -> bool:
-        """Whether it is too early to write again what could not be written."""
+        """Whether it is too early to try again to write."""
         return self._no_room is not None and now < self._no_room[1]
 
     def _wait_for_room(self, error: OSError, what: str, now: float) -> Advice:
-        """Say what cannot be written, and what to do; it is tried again later."""
+        """Report what cannot be written, with advice; it is tried again later."""
         why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
-        words = f"{why}. Make room: {what} kept in memory, and written as soon as that can be."
+        words = f"{why}. Free disk space: {what} kept in memory, and written as soon as possible."
         if self._no_room is None:
             self._note(words)
         # It is tried again 5 s later.
@@ -407,7 +409,7 @@ class Watch:
         return path, hashlib.sha256(recording).hexdigest()
 
     def _collect(self) -> None:
-        """Take the answers that are there."""
+        """Process the answers that are ready."""
         need = self._wish.config.need
         if self._trial is not None and self._trial.done() and self._expected is None:
             with suppress(RetropoleError):
@@ -446,10 +448,11 @@ class Watch:
             self._used.popitem()
 
     def _leave_out(self, error: RetropoleError) -> None:
-        """Leave the newest placement out; where recordings are others than captured, these."""
+        """Leave the newest placement out; if recordings have changed since they were captured,
+        those."""
         others = [path for path, own in self._used.items() if not _is_still(path, own)]
         for path in others:
-            self._note(f"{path.name} is left out: it is no longer what was recorded")
+            self._note(f"{path.name} is left out: it has changed since it was recorded")
             del self._used[path]
         if not others:
             self._note(f"placement {self._recorded} is left out: {error}")
@@ -462,7 +465,7 @@ class Watch:
         self._words.append(f"{datetime.now():%H:%M:%S} {quoting(words)}")
 
     def _document_of(self, advice: Advice, now: float) -> WatchDoc:
-        """Write what is seen and said as a document."""
+        """Write the current view and advice as a document."""
         outcome, expected, capture = self._outcome, self._expected, self._capture
         angles = [angle_between([each.pole for each in present(own, now)]) for own in self._tracks]
         known = [each for each in angles if each is not None]
@@ -498,18 +501,18 @@ class Watch:
 
 
 def _of_captured(captured: Mapping[Path, str], work: Callable[[], T]) -> T:
-    """Do what reads recordings, and check that these are what was captured.
+    """Call a function that reads recordings, and check that these are the captured ones.
 
     Raises
     ------
     ReadError
-        Where one is not.
+        If one is not.
     """
 
     def check() -> None:
         for path, own in captured.items():
             if not _is_still(path, own):
-                raise ReadError(f"{path}: is no longer what was recorded")
+                raise ReadError(f"{path}: has changed since it was recorded")
 
     check()
     found = work()
@@ -526,10 +529,10 @@ def _is_still(path: Path, own: str) -> bool:
 
 
 def checked_words(checked: CheckResult) -> str:
-    """Say what a check found."""
-    words = {"same": "Same: both LiDARs stand where they stood.", "moved": "Moved: calibrate anew."}
+    """Describe the result of a check."""
+    words = {"same": "Same: neither LiDAR has moved.", "moved": "Moved: calibrate again."}
     message = " ".join(reason.message for reason in checked.reasons[:1])
-    return words.get(checked.status, f"Cannot tell: {message}")
+    return words.get(checked.status, f"Undecided: {message}")
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:

@@ -1,8 +1,8 @@
-"""`watch --carried`: one pole is carried before two LiDARs, and the walk is solved as it grows.
+"""`watch --carried`: one pole is carried in view of two LiDARs, and the walk is solved as it grows.
 
-Each sweep is searched once, and written as it comes. Every few seconds the walk so far is solved in
-the background. Once that is good enough, the recording is closed and calibrated by what was found
-in its sweeps already.
+Each sweep is searched once, and written as it arrives. Every few seconds the walk so far is solved
+in the background. Once that is good enough, the recording is closed and calibrated with the poles
+already found in its sweeps.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ from .inputs import SILENT, Input, input_documents
 from .watching import WORKING_OUT, Watch, Wish, in_background
 
 RECORDING = "walk{}.mcap"
-"""What the recording of a walk is called, from 1."""
+"""Name of the recording of a walk, numbered from 1."""
 
 EVERY = 2.0
-"""Seconds from one solution to the next at least; that of a walk of 40 s takes 1 s."""
+"""Minimum seconds from one solution to the next; that of a walk of 40 s takes 1 s."""
 
 UNSEEN = 2.0
 """Seconds for which a LiDAR has not seen the pole before it is reported."""
@@ -61,7 +61,7 @@ UNSEEN = 2.0
 MOST_POINTS = 150
 """Of a path that is shown."""
 
-AGAIN = "Walk again, and for longer."
+AGAIN = "Walk again, for longer."
 
 NO_WAY = Advice(
     "walking", "Walk to and fro and across, and lean the pole to all sides.", is_good=True
@@ -69,7 +69,7 @@ NO_WAY = Advice(
 
 
 class Walked:
-    """What one LiDAR saw of a walk so far: its sweeps with times, searched once each.
+    """The data of one LiDAR of a walk so far: its sweeps with times, searched once each.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Walked:
         self.search = Search(sensor, threshold=lidar.threshold, radius=radius)
 
     def timed(self, frame: Frame) -> list[Frame]:
-        """Give sweeps with times: none at first, until some show how times count.
+        """Give sweeps with times: none at first, until some show how times are stored.
 
         Raises
         ------
@@ -127,9 +127,10 @@ class Walked:
 
 
 class Solution(NamedTuple):
-    """A walk so far: why it is no answer, or the answer with the surroundings, and how to go on.
+    """A walk so far: why it gives no answer, or the answer with the surroundings, and how to
+    continue.
 
-    At the range of the need, ``sigma`` is 1 σ and ``bound`` what no point is off by more than, with
+    At the range of the need, ``sigma`` is 1 σ and ``bound`` the error bound of all points, with
     95 % probability, metres; infinite without a pose.
     """
 
@@ -145,16 +146,17 @@ class Solution(NamedTuple):
 def solve(
     seen: SeenWalk, surroundings: Sequence[Input], config: RunConfig, names: tuple[str, str]
 ) -> Solution:
-    """Solve a walk, refine it by the surroundings where it carries an answer, and say how to go on.
+    """Solve a walk, refine it by the surroundings if it gives an answer, and advise how to
+    continue.
 
     Parameters
     ----------
     seen
-        What both LiDARs saw of the pole.
+        Observations of the pole by both LiDARs.
     surroundings
         Some of their sweeps.
     config, names
-        The options of the run; what words call target and source.
+        The options of the run; names of target and source in messages.
     """
     sensors = surroundings[0].sensor, surroundings[1].sensor
     at = (config.need or USABLE).at
@@ -195,13 +197,13 @@ def solve(
 
 
 def _more(after: Array, before: Array) -> Array:
-    """What is known with one covariance beyond another: the difference of their inverses."""
+    """Additional information of one covariance over another: the difference of their inverses."""
     values, vectors = np.linalg.eigh(np.linalg.inv(after) - np.linalg.inv(before))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _each_alone(seen: SeenWalk, names: tuple[str, str]) -> list[ChartNow]:
-    """Draw what each LiDAR saw in a separate frame."""
+    """Draw the view of each LiDAR in a separate frame."""
     charts = []
     for track, name in zip(seen.tracks, names, strict=True):
         up = track.directions.mean(axis=0)
@@ -212,7 +214,7 @@ def _each_alone(seen: SeenWalk, names: tuple[str, str]) -> list[ChartNow]:
 
 
 def _both(best: Adjusted, seen: SeenWalk, names: tuple[str, str]) -> ChartNow:
-    """Draw what both saw in the frame of the target."""
+    """Draw the view of both in the frame of the target."""
     target, source = (track.T_recording_beams for track in seen.tracks)
     found = in_recordings(best, target, source)
     T = found.T_target_source
@@ -232,7 +234,7 @@ def _path(points: Array) -> list[tuple[float, float]]:
 
 
 class WalkWatch(Watch):
-    """A watch of two LiDARs before which one pole is carried; `Watch` says how it is used."""
+    """A watch of two LiDARs in view of which one pole is carried; it is used as `Watch`."""
 
     def __init__(
         self,
@@ -257,21 +259,21 @@ class WalkWatch(Watch):
         self._solved_at, self._bounds = self._clock(), list[tuple[float, float]]()
 
     def finish(self) -> list[Path]:
-        """Keep the recording of what was walked, and let go of the sources."""
+        """Keep the recording of the walk, and close the sources."""
         for lidar in self._lidars:
             lidar.source.close()
         self._keep_walk()
         return self.written
 
     def _take(self, k: int) -> None:
-        """Take the newest sweep of a LiDAR; write and search it once both LiDARs record."""
+        """Read the newest sweep of a LiDAR; write and search it once both LiDARs record."""
         lidar = self._lidars[k]
         frame, said, is_other = receive(lidar, self._clock)
         for words in said:
             self._note(f"{self._wish.names[k]}: {words}")
         now = self._clock()
         if is_other:
-            self._stop("its sweeps come from elsewhere")
+            self._stop("its sweeps come from another sender")
         if frame is None:
             return
         fault = ""
@@ -285,7 +287,9 @@ class WalkWatch(Watch):
                 fault = str(refusal)
             except OSError as error:
                 why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
-                words = f"{why}. Make room: the walk so far is lost, and begins again then."
+                words = (
+                    f"{why}. Free disk space: the walk so far is lost, and starts again afterwards."
+                )
                 self._stop(words)
                 self._no_room = Advice("not_written", words), now + 5.0
         looked = Looked(now, frame.cloud)
@@ -304,7 +308,7 @@ class WalkWatch(Watch):
             record, counts = self._stream.enter_context(write), [0, 0]
 
             def put(lidar: int, one: Frame) -> None:
-                # Of sweeps without a time, as LiDARs mostly turn.
+                # For sweeps without a time: the usual rate of LiDARs.
                 when = 0.1 * counts[lidar] if one.stamp is None else one.stamp
                 counts[lidar] += 1
                 record(topics[lidar], round(when * NANOSECONDS), records_of_sweep(one.cloud))
@@ -313,7 +317,7 @@ class WalkWatch(Watch):
         self._write(k, frame)
 
     def _keep_walk(self) -> Path | None:
-        """Close the recording of the walk, and give its path; None where there is none."""
+        """Close the recording of the walk, and give its path; None if there is none."""
         path, self._path, self._write = self._path, None, None
         self._stream.close()
         if path is not None:
@@ -330,7 +334,7 @@ class WalkWatch(Watch):
         self._begin()
 
     def _next(self, now: float) -> Advice:
-        """Say what is to be done; solve the walk, and work out the answer once it is enough."""
+        """Report the next action; solve the walk, and compute the answer once it is sufficient."""
         if self._outcome is not None and self._outcome.is_enough:
             return advice_after(self._outcome, AGAIN)
         if self._is_to_wait(now):
@@ -353,7 +357,7 @@ class WalkWatch(Watch):
         return advice
 
     def _solve(self, now: float) -> None:
-        """Take the newest solution, and begin another."""
+        """Process the newest solution, and begin another."""
         if self._solving is not None and self._solving.done():
             self._solution, self._solving = self._solving.result(), None
             found = self._solution
@@ -382,7 +386,7 @@ class WalkWatch(Watch):
         return SeenWalk(tracks, (median_of(target.ahead), median_of(source.ahead)))
 
     def _answer(self) -> Advice:
-        """Close the recording, and calibrate by it and what was found in its sweeps."""
+        """Close the recording, and calibrate with it and the poles found in its sweeps."""
         try:
             path = self._keep_walk()
         except OSError as error:
@@ -395,7 +399,7 @@ class WalkWatch(Watch):
         return WORKING_OUT
 
     def _collect(self) -> None:
-        """Take the answer where it is there; if it is not enough, another walk begins."""
+        """Process the answer if it is ready; if it is not sufficient, another walk begins."""
         was = self._work
         super()._collect()
         if was is not None and self._work is None and not self.is_over:
@@ -403,7 +407,7 @@ class WalkWatch(Watch):
             self._begin()
 
     def _guide(self, now: float) -> Advice:
-        """Say what hinders first, then how to go on."""
+        """Report obstacles first, then how to continue."""
         advice = advise([each.view for each in self._lidars], now, needs_poles=False)
         if not advice.is_good:
             return advice

@@ -47,10 +47,10 @@ def words_of(apart: float, other: str = "the recorder's") -> str:
         What the other is called.
     """
     if abs(apart) >= NO_DATE:
-        return "is not set: it counts from its start, its times are no dates"
+        return "is not set: it runs from its start, its times are not dates"
     if not is_set(apart):
         long = f"is {duration(abs(apart))} {_way(apart)} {other}"
-        return f"{long}: it was never set, or what it sent was recorded again later"
+        return f"{long}: it was never set, or its data were recorded again later"
     if abs(apart) < NOTICED:
         return f"agrees with {other} within {NOTICED:g} s"
     size = duration(abs(apart)) if _zones(apart) else f"{abs(apart):.1f} s"
@@ -74,4 +74,4 @@ def _cause(apart: float) -> str:
             return f"as {one} is {_way(apart)} {other}"
     if _zones(apart):
         return "as one time zone is from another"
-    return "which is no known difference of time scales"
+    return "which is not a known difference of time scales"

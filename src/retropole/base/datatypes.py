@@ -1,4 +1,4 @@
-"""What the steps hand to each other: frozen data classes over arrays, in metres and radians.
+"""Data passed between the steps: frozen data classes over arrays, in metres and radians.
 
 Every cloud, pole and ray is in the frame of its own LiDAR unless a name says otherwise.
 """
@@ -35,7 +35,7 @@ DEFAULT_RADIUS = 0.02
 """Default radius of the taped poles, metres (Xue et al. 2019)."""
 
 MIN_RADIUS, MAX_RADIUS = 0.002, 0.25
-"""Taped poles are no thinner and no thicker, metres: a wire and a bollard."""
+"""Smallest and largest radius of taped poles, metres: a wire and a bollard."""
 
 MAX_POLES = 50
 """More are not simulated."""
@@ -58,18 +58,18 @@ class PointCloud:
         (N,) int64 index of the ring (laser channel), float64 seconds, and int64 index of the sweep
         that the point came from; or None.
     origin, axis
-        (3,) where the beams start, and the unit vector about which they turn; of a map the place
-        that is of interest, and the vertical.
+        (3,) origin of the beams, and the unit vector about which they rotate; for a map the
+        position of interest, and the vertical.
     recorded
         First and last time by the recorder's clock, Unix seconds; None if the file has none.
     dropped, thinned, source, fields, notes
-        How many points were dropped (not finite, at zero range), and left out of too many; the
-        file, what it calls its values, with their types; in words what was lost.
+        Number of points that were dropped (not finite, at zero range), and that were left out of
+        too many; the file; the names of its values, with their types; in words what was lost.
     model, nominal_angles
-        Of LiDAR, where its packets name it: as ``sensors.toml`` calls it, else maker and model. And
-        the model by whose angles the points were placed, where those of the unit are not known.
+        Of the LiDAR, if its packets contain it: the name in ``sensors.toml``, else maker and model.
+        And the model whose angles were used for the points, if those of the unit are not known.
     is_map
-        Whether the points were seen from many places: what beams looked through is not known.
+        Whether the points were seen from many positions: free space is then not known.
     """
 
     xyz: Array
@@ -123,7 +123,8 @@ Made = TypeVar("Made")
 
 
 def kept(make: Callable[[PointCloud], Made]) -> Callable[[PointCloud], Made]:
-    """Make something of a cloud once, for as long as the cloud is in use: every step needs it.
+    """Compute a value from a cloud once, and keep it as long as the cloud is in use: every step
+    needs it.
 
     It may be the cloud itself, and must not refer to it otherwise: the cloud would never be freed.
     """
@@ -160,7 +161,7 @@ class Pole:
         (3,) from the line to where that of a pole of `DEFAULT_RADIUS` about the same axis would
         be, metres: of a thicker one, the line runs farther in front.
     log_odds
-        That it is a pole and not another bright thing; infinite where it is given.
+        That it is a pole and not another bright object; infinite if it is given.
     """
 
     point: Array
@@ -225,7 +226,7 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """One way of laying the source poles on the target poles (Xue et al. 2019, Fig. 4).
+    """One way of matching the source poles with the target poles (Xue et al. 2019, Fig. 4).
 
     Attributes
     ----------
@@ -236,8 +237,8 @@ class Match:
     pole_rms
         Root mean square distance of source points from target lines at that minimum, metres.
     exact, converged, icp_refined, by_place
-        Whether the lines fit, one of the Klein group's four, or more; the solver came to rest; the
-        scenes coincide; and they give what one pole, or parallel ones, do not determine.
+        Whether the lines fit, one of the Klein group's four, or more; the solver converged; the
+        scenes coincide; and they determine what one pole, or parallel ones, do not.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -254,18 +255,18 @@ class Match:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose of one LiDAR relative to another, and what speaks for it (Xue et al. 2019, Tab. III).
+    """A pose of one LiDAR relative to another, and the evidence for it (Xue et al. 2019, Tab. III).
 
     Attributes
     ----------
     match
         The pairs of poles and their pose.
     icp_rotation, icp_translation
-        The paper's e_r, rad, and e_t, m: how far ICP moves; None with too few points for ICP.
+        The paper's e_r, rad, and e_t, m: the movement by ICP; None with too few points for ICP.
     overlap, covisible_overlap
         Share of all points, and of those that both could see, with a neighbour in the other cloud.
     free_space_violation
-        Share of the points that lie where the other LiDAR looked through, 0 to 1.
+        Share of the points in space that the other LiDAR saw to be empty, 0 to 1.
     score
         Overlap less free-space violation; the hypotheses are ranked by it.
     stands
@@ -274,7 +275,8 @@ class Hypothesis:
         Whether it is not ruled out, or scores little less than the best: on bare ground a pose that
         brings the LiDARs near each other overlaps twice as much as the right one. Of a site.
     poles
-        From the index of each placement that allows it to how many poles there agree. Of a site.
+        From the index of each placement that allows it to the number of poles that agree there. Of
+        a site.
     """
 
     match: Match
@@ -295,10 +297,11 @@ class Hypothesis:
 
     @property
     def evidence(self) -> int:
-        """How much the poles of all placements say for it: of each one less than agree.
+        """Evidence from the poles of all placements: for each, one less than the number that
+        agrees.
 
-        Two poles of one placement allow several poses, and one of them is right; every pole more
-        that agrees would do so by chance.
+        Two poles of one placement allow several poses, one of which is right; every further pole
+        that agrees with a wrong one does so by chance.
         """
         return sum(self.poles.values()) - len(self.poles)
 
@@ -313,7 +316,7 @@ class PoseEstimate(msgspec.Struct, frozen=True, eq=False, rename={"rms": "rms_m"
     covariance
         (6, 6) over ``[φ_x φ_y φ_z δ_x δ_y δ_z]``, rad and m, target axes; None if not known.
     rms
-        Root mean square residual of what it was estimated from, metres.
+        Root mean square residual of the observations, metres.
     """
 
     T_target_source: Pose
@@ -323,7 +326,7 @@ class PoseEstimate(msgspec.Struct, frozen=True, eq=False, rename={"rms": "rms_m"
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """What one LiDAR recorded of one placement of the poles, and what was found in it.
+    """The recording of one placement of the poles by one LiDAR, and the poles found in it.
 
     Attributes
     ----------
@@ -359,8 +362,8 @@ class Placement:
     Attributes
     ----------
     target, source, left_out
-        What each LiDAR recorded; and how far the poles' pose lies from that without it, None if
-        the others give none.
+        What each LiDAR recorded; and the difference between the pose from the poles with and
+        without it, None if the others give none.
     """
 
     target: Scan
@@ -386,7 +389,7 @@ class Test:
     Attributes
     ----------
     kind
-        What would be wrong: ``pole`` (another place for one LiDAR than for the others),
+        The possible error: ``pole`` (another position for one LiDAR than for the others),
         ``placement`` (a LiDAR's recording of one), ``lidar``, ``survey`` (a surveyed end of a
         pole), ``control point``, ``up``; of a pair also ``surfaces`` (the pose that they and the
         poles have together, against that of the poles alone), ``radius`` and ``scale``.
@@ -400,13 +403,13 @@ class Test:
     w
         The same as a standard normal number: Baarda's w with one degree of freedom.
     redundancy
-        Share of it that the others check, 0 to 1: what is 0 nothing would show.
+        Share of it that the others check, 0 to 1: at 0 an error would not be detected.
     minimal_detectable
         Least error that is found with a probability of 80 %, metres; None if none is.
     external
         By how much an error of that size would move a point 30 m away, metres; None likewise.
     allowed
-        The largest w to expect where nothing is wrong.
+        The largest w to expect without an error.
     """
 
     kind: Kind
@@ -430,24 +433,24 @@ class Calibration:
     Attributes
     ----------
     status, reasons, notes
-        ``ok``, ``warn`` or ``refused``; what is wrong or doubtful, empty when ok; and what to know.
+        ``ok``, ``warn`` or ``refused``; errors or doubts, empty when ok; and notes.
     T_target_source, covariance
         (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
         target axes; None when refused.
     poles, refined
         The pose from the poles alone, and with the scene; None if it was not computed.
     hypotheses, chosen, margin
-        All ways of matching the poles, the best first; the place of the chosen one, 0
-        when refused; and its score, or the best, over the best other's, None without another.
+        All ways of matching the poles, the best first; the position of the chosen one, 0
+        when refused; and its score, or the best, minus the best other, None without another.
     vertical
         (3,) the ground's normal, target axes; None if not found, or if only one was placed.
     predicted_error, weakest, uncertainty, radius
-        At several ranges; the direction in which it is least certain; `covariance` in its two
-        kinds, with the budget; the poles' radius; empty and None when refused.
+        At several ranges; the direction in which it is least certain; the two parts of
+        `covariance`, with the budget; the poles' radius; empty and None when refused.
     placements, seconds
         What was recorded and found, one for each placement of the poles; and the time of each step.
     confirmation, fitness
-        What the scene shows about the pose, and whether it is as accurate as asked; or None.
+        What the scene shows about the pose, and whether it is as accurate as required; or None.
     walk
         Of a pole that was carried: the walk, and the clocks of both LiDARs; else None.
     tests

@@ -1,4 +1,4 @@
-"""Everything that retropole raises on purpose, and why an answer is weak.
+"""All errors that retropole raises deliberately, and the reasons for a weak answer.
 
 The command line catches the errors in one place; `naming` puts the name of a file into them.
 """
@@ -14,19 +14,21 @@ from unicodedata import category
 from .reasons import Code, Prefix, is_note, prefixed
 
 LONGEST_MESSAGE = 300
-"""Characters of a message that quotes what others wrote: a file, its name, an option."""
+"""Maximum number of characters of a message that quotes external text: a file, its name, an
+option."""
 
 UNUSUAL = re.compile(r"[^\n -~]")
 """A sign that is looked at: most are ASCII."""
 
 ESCAPED_BYTES = range(0xDC80, 0xDD00)
-"""What Python makes of the bytes of a file name that are not UTF-8 (PEP 383), from 0x80 on."""
+"""Code points that Python uses for bytes of a file name that are not UTF-8 (PEP 383), from 0x80
+on."""
 
 
 def printable(text: str) -> str:
     """Write line ends, control characters and marks of direction as escapes, on one line.
 
-    What others wrote then shows as text, and steers no terminal.
+    External text is then shown as text, and cannot control a terminal.
     """
     if text.isprintable():
         return text
@@ -55,7 +57,7 @@ def escaped(sign: str) -> str:
 
 
 def shortened(text: str, most: int = LONGEST_MESSAGE) -> str:
-    """Leave out the middle of a long text: what it is about is first, what to do last."""
+    """Leave out the middle of a long text: its subject is first, the advice last."""
     if len(text) <= most:
         return text
     first = most // 2 - 1
@@ -63,12 +65,12 @@ def shortened(text: str, most: int = LONGEST_MESSAGE) -> str:
 
 
 def quoting(text: str) -> str:
-    """Make a message that quotes what others wrote one line that is not too long."""
+    """Make a message that quotes external text one line that is not too long."""
     return shortened(printable(text))
 
 
 def said(error: BaseException) -> str:
-    """Give the words of an error of the system or a library, or its kind where it has none."""
+    """Give the text of an error of the system or a library, or its kind if it has none."""
     return str(error).strip() or type(error).__name__
 
 
@@ -93,7 +95,7 @@ class NewerError(ReadError):
     """
 
     def __init__(self, words: str) -> None:
-        super().__init__(f"{words} is of a newer version of retropole; update this one")
+        super().__init__(f"{words} is from a newer version of retropole; update this one")
 
 
 def is_newer(schema: str, known: str) -> bool:
@@ -107,7 +109,7 @@ def is_newer(schema: str, known: str) -> bool:
 
 
 class UsageError(RetropoleError):
-    """An argument or option that makes no sense; the message uses the caller's words."""
+    """An invalid argument or option; the message uses the caller's terms."""
 
 
 class MissingExtraError(RetropoleError):
@@ -127,7 +129,7 @@ class MissingExtraError(RetropoleError):
 
 
 class Refusal(RetropoleError):
-    """The data cannot carry an answer.
+    """The data are not sufficient for an answer.
 
     Parameters
     ----------
@@ -142,14 +144,14 @@ class Refusal(RetropoleError):
     def __init__(
         self, code: Code, message: str, values: Mapping[str, float | int | str] | None = None
     ) -> None:
-        # These are our words: none is left out.
+        # This is our text: nothing is left out.
         Exception.__init__(self, printable(message))
         self.code: Code = code
         self.message = str(self)
         self.values = dict(values or {})
 
     def __reduce__(self) -> tuple[type[Refusal], tuple[Code, str, dict[str, float | int | str]]]:
-        """Rebuild from all three, so that a refusal gets across processes."""
+        """Rebuild from all three, so that a refusal can be passed between processes."""
         return Refusal, (self.code, self.message, self.values)
 
     @property
@@ -174,14 +176,14 @@ class Reason:
 def warnings_and_notes(
     found: Iterable[Reason],
 ) -> tuple[tuple[Reason, ...], tuple[Reason, ...]]:
-    """Say what makes an answer doubtful from what is to be known of it (``reasons.toml``)."""
+    """Separate reasons for doubt about an answer from notes on it (``reasons.toml``)."""
     every = tuple(found)
     notes = tuple(each for each in every if is_note(each.code))
     return tuple(each for each in every if not is_note(each.code)), notes
 
 
 class LineError(ReadError):
-    """What is wrong with a line of a text, of which the number is known."""
+    """An error in a line of a text, of which the number is known."""
 
     def __init__(self, line: int, words: str) -> None:
         super().__init__(f"line {line}: {words}")
@@ -189,14 +191,14 @@ class LineError(ReadError):
 
 @contextmanager
 def naming(place: object, *, is_said_there: bool = False) -> Iterator[None]:
-    """Name the file, or the part of it, in whatever is wrong with it or the system has against it.
+    """Add the name of the file, or of its part, to errors in it or errors of the system.
 
     Parameters
     ----------
     place
         The file or its part.
     is_said_there
-        If an option makes no sense, that is what is wrong with the file: the reason is there.
+        If an invalid option is an error in the file, since it is given there.
 
     Raises
     ------
@@ -214,7 +216,7 @@ def naming(place: object, *, is_said_there: bool = False) -> Iterator[None]:
 
 @contextmanager
 def refusing_of(what: str) -> Iterator[None]:
-    """Name in a refusal what it is of; with no name, "", it stays as it is.
+    """Add a name to a refusal; with an empty name it is unchanged.
 
     Raises
     ------
@@ -231,7 +233,7 @@ def refusing_of(what: str) -> Iterator[None]:
 
 @contextmanager
 def readable(place: object) -> Iterator[None]:
-    """Say what the system has against a file or folder; all other errors name it themselves."""
+    """Report an error of the system about a file or folder; all other errors name it themselves."""
     try:
         yield
     except OSError as error:
@@ -240,7 +242,7 @@ def readable(place: object) -> Iterator[None]:
 
 @contextmanager
 def reported(what: str, remedy: str = "") -> Iterator[None]:
-    """Turn any failure of a library into a `ReadError` that says what to do.
+    """Turn any failure of a library into a `ReadError` with advice.
 
     For damaged files the libraries raise a dozen unrelated types. An OSError with a number comes
     from the system, one without from decompressing.

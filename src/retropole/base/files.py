@@ -79,7 +79,7 @@ def read_document(path: Path) -> bytes:
     with path.open("rb") as file:
         data = file.read(LARGEST_DOCUMENT + 1)
     if len(data) > LARGEST_DOCUMENT:
-        raise ReadError(f"{path}: more than {LARGEST_DOCUMENT} bytes, no transform is so long")
+        raise ReadError(f"{path}: more than {LARGEST_DOCUMENT} bytes, too long for a transform")
     return data
 
 
@@ -152,7 +152,7 @@ def stream_atomically(path: Path) -> Iterator[BinaryIO]:
     """
     place = Path(os.path.realpath(path))
     if not _is_file(place):
-        raise UsageError(f"{path}: is no file, and cannot be written in parts")
+        raise UsageError(f"{path}: is not a regular file, and cannot be written in parts")
     place.parent.mkdir(parents=True, exist_ok=True)
     with _alone_in(place.parent):
         _sweep(place)
@@ -338,7 +338,7 @@ def _opened(note: Path) -> int:
 
 
 def this_run(command: str = "") -> str:
-    """Say which process this is, and since when it runs."""
+    """Describe this process, and its start time."""
     since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     named = f"{command}, " if command else ""
     return f"{named}process {os.getpid()} on {socket.gethostname()}, since {since}"
@@ -462,7 +462,7 @@ def _permit_as(place: Path, temporary: str) -> None:
 
 @contextmanager
 def _signals_wait() -> Iterator[None]:
-    """Let interrupts wait for a moment, where the system can."""
+    """Defer interrupts for a moment, if the system can."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

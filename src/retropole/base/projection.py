@@ -65,7 +65,7 @@ class Grid:
 
     @property
     def words(self) -> str:
-        """Say what that means for a site, in one line."""
+        """Describe the effect on a site, in one line."""
         off = 30.0 * (self.combined - 1)
         side = "east" if self.convergence >= 0 else "west"
         words = (
@@ -82,7 +82,7 @@ class Grid:
                 f"mm more or less, and angles bend by up to {np.degrees(self.distortion):.3f} deg"
             )
         if not self.in_area:
-            words += "; it is not meant for this place: are its coordinates right?"
+            words += "; it is not intended for this region: are the coordinates right?"
         return words
 
 
@@ -111,7 +111,7 @@ def projected(epsg: int) -> Projected:
     try:
         crs = CRS.from_epsg(epsg)
     except (CRSError, OverflowError):
-        raise UsageError(f"EPSG:{epsg} is in no register of coordinate systems") from None
+        raise UsageError(f"EPSG:{epsg} is in no database of coordinate systems") from None
     if crs.is_compound:
         crs = crs.sub_crs_list[0]
     if not crs.is_projected:
@@ -121,7 +121,7 @@ def projected(epsg: int) -> Projected:
     axes = {axis.direction: axis for axis in crs.axis_info}
     units = {axis.unit_name for axis in crs.axis_info if axis.unit_conversion_factor != 1.0}
     if units:
-        raise UsageError(f"EPSG:{epsg}, {crs.name}, counts in {', '.join(units)}, not in metres")
+        raise UsageError(f"EPSG:{epsg}, {crs.name}, has the units {', '.join(units)}, not metres")
     if not {"east", "north"} <= set(axes):
         directions = " and ".join(axis.direction for axis in crs.axis_info)
         raise UsageError(f"the axes of EPSG:{epsg}, {crs.name}, are {directions}, not east, north")
@@ -130,7 +130,9 @@ def projected(epsg: int) -> Projected:
         raise UsageError(f"EPSG:{epsg}, {crs.name}, has no meridian or no ellipsoid")
     if start.longitude != 0:
         # PROJ's factors take longitudes from Greenwich for these from there.
-        raise UsageError(f"EPSG:{epsg}, {crs.name}, counts from {start.name}, not from Greenwich")
+        raise UsageError(
+            f"EPSG:{epsg}, {crs.name}, has the prime meridian {start.name}, not Greenwich"
+        )
     flat = 1 / body.inverse_flattening if body.inverse_flattening else 0.0
     ellipsoid = Ellipsoid(float(body.semi_major_metre), flat)
     return Projected(Proj(crs), crs, ellipsoid, f"EPSG:{epsg}, {crs.name}", epsg)
@@ -211,7 +213,7 @@ def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
         degrees = ", ".join(f"{angle:.3f}" for angle in np.degrees(at[k, :2]))
         raise UsageError(
             f"{coordinates[k, 0]:.3f} east, {coordinates[k, 1]:.3f} north lie at {degrees} deg, "
-            f"far outside of where {system.name} is used; are east and north swapped?"
+            f"far outside the area of use of {system.name}; are east and north swapped?"
         )
 
 

@@ -62,12 +62,12 @@ def value(number: float | None, sigma: float, unit: Unit = "m") -> str:
     unit
         As in `error`.
     """
-    return _beside(number, sigma, unit, "")
+    return _formatted(number, sigma, unit, "")
 
 
 def value_and_error(number: float | None, sigma: float, unit: Unit = "m") -> str:
     """Write a value with its uncertainty, both to the same digit: ``20.31 ± 0.42 mm``."""
-    return _beside(number, sigma, unit, " ± ")
+    return _formatted(number, sigma, unit, " ± ")
 
 
 def percent(share: float) -> str:
@@ -120,7 +120,7 @@ def duration(seconds: float) -> str:
     return _fixed(seconds / size, _decimals(seconds / size)) + symbol
 
 
-def _beside(number: float | None, sigma: float, unit: Unit, plus_minus: str) -> str:
+def _formatted(number: float | None, sigma: float, unit: Unit, plus_minus: str) -> str:
     if number is None or not math.isfinite(number) or not math.isfinite(sigma):
         return UNKNOWN
     scale, symbol = _scale(max(abs(number), abs(sigma)), unit)

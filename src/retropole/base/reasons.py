@@ -139,7 +139,7 @@ Code = Literal[
 ]
 
 Prefix = Literal["stored", "poles"]
-"""Put in front of a code of the stored result, and of the new recordings' poles."""
+"""Prefixes of a code of the stored result, and of the new recordings' poles."""
 
 
 class Explanation(msgspec.Struct, frozen=True):
@@ -234,12 +234,12 @@ def page(code: str) -> str | None:
 
 
 def prefixed(prefix: Prefix, code: str) -> Code:
-    """Put a prefix in front of a code: ``prefixed("stored", "few_points")``."""
+    """Add a prefix to a code: ``prefixed("stored", "few_points")``."""
     return cast("Code", f"{prefix}_{code}")
 
 
 def remedy(source: str, unknown_lidar: str | None = None) -> str:
-    """Say what makes a source of error smaller; nothing helps against unmodelled errors.
+    """Advise how to reduce a source of error; nothing helps against unmodelled errors.
 
     Parameters
     ----------
@@ -249,7 +249,10 @@ def remedy(source: str, unknown_lidar: str | None = None) -> str:
         ``target`` or ``source``, where it is an error of a LiDAR whose sensor is not known.
     """
     if unknown_lidar is not None and source not in tables().remedies:
-        return f"name the sensor of the {unknown_lidar} (--sensor), so that its own figures count"
+        return (
+            f"name the sensor of the {unknown_lidar} (--sensor), so that the figures of that "
+            "model are used"
+        )
     return tables().remedies.get(source, tables().of_a_lidar)
 
 
@@ -258,7 +261,7 @@ MARKDOWN_LINK_SENTENCE = re.compile(rf"(?:^|(?<=[.!?]))\s*{MARKDOWN_LINK.pattern
 
 
 def unlinked(markdown: str) -> str:
-    """Take the links out of help or advice: a page or terminal is read away from the documentation.
+    """Remove the links from help or advice: a page or terminal is read away from the documentation.
 
     A link becomes its words; a sentence that is nothing but a link goes.
     """
@@ -266,5 +269,5 @@ def unlinked(markdown: str) -> str:
 
 
 def plain(markdown: str) -> str:
-    """Take links, emphasis and code marks out of help or advice, for a terminal."""
+    """Remove links, emphasis and code marks from help or advice, for a terminal."""
     return re.sub(r"[`*]", "", unlinked(markdown))

@@ -281,7 +281,7 @@ class RelativePose(NamedTuple):
 
 
 def relative(T_i: Array, T_j: Array, joint: Array) -> RelativePose:
-    """Take the pose of one LiDAR in another's frame, and how certain it is.
+    """Compute the pose of one LiDAR in another's frame, with its covariance.
 
     What both poses have in common (the datum, poles that both saw) cancels, so that two LiDARs far
     from the origin of the site may be certain to each other.

@@ -20,12 +20,12 @@ from .se3 import Array
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """What is known of a LiDAR model.
+    """Data of a LiDAR model.
 
     Attributes
     ----------
     name
-        What users call it; case, blanks and dashes are ignored.
+        Its name for users; case, blanks and dashes are ignored.
     aliases
         Other names of the same model.
     elevations
@@ -37,7 +37,7 @@ class Sensor:
     azimuth_span
         First and last azimuth of the field of view, rad, about the z axis from x; a turn for most.
     pattern
-        ``spinning`` where a line of beams for each ring is swept over the azimuths, or ``rosette``
+        ``spinning`` if a line of beams for each ring is swept over the azimuths, or ``rosette``
         for scans that do not repeat.
     rise
         (K,) how much higher than `elevations` the lines are, rad, at azimuths spaced evenly over
@@ -47,7 +47,7 @@ class Sensor:
     is_round
         Whether the field of view is an ellipse, as two prisms sweep it.
     points
-        Returns of one sweep at most.
+        Maximum number of returns of one sweep.
     range_noise
         1 σ along the beam, metres.
     divergence
@@ -59,15 +59,15 @@ class Sensor:
     threshold
         Intensity from which a return at about 5 m is treated as retro-reflective.
     retro_from
-        Intensity that no diffuse surface exceeds at any range, by its maker; `threshold` where that
-        is not known, and 0 where intensities are raw signal, which falls with the range.
+        Intensity that no diffuse surface exceeds at any range, by its maker; `threshold` if that
+        is not known, and 0 if intensities are raw signal, which falls with the range.
     threshold_source, source
-        Where the threshold and the other figures come from.
+        Sources of the threshold and of the other figures.
     range_accuracy, retro_accuracy
-        What the manufacturer states for the range, ± metres, and for that of retro-reflectors; None
-        where nothing is.
+        The manufacturer's figure for the range, ± metres, and for that of retro-reflectors; None
+        if not stated.
     errors
-        1 σ of the systematic errors of this very instrument, by the names of `systematic.Sizes`;
+        1 σ of the systematic errors of this instrument, by the names of `systematic.Sizes`;
         empty if nobody measured them.
     """
 
@@ -107,13 +107,13 @@ class Sensor:
 
     @property
     def rings(self) -> int:
-        """How many rings its clouds have at most; 0 if none are numbered."""
+        """Maximum number of rings of its clouds; 0 if none are numbered."""
         return len(self.elevations) if self.is_numbered else 0
 
     @property
     def sweeps(self) -> int:
-        """How many sweeps show as much as one of a LiDAR whose lines repeat: beams spread evenly
-        are then `DENSE` apart.
+        """Number of sweeps equivalent to one of a LiDAR whose lines repeat: the spacing of evenly
+        spread beams is then `DENSE`.
         """
         if self.pattern == "spinning":
             return 1
@@ -123,11 +123,11 @@ class Sensor:
 
     @property
     def seconds(self) -> float:
-        """How long to record at least, s: `sweeps`, to the next half of a second."""
+        """Minimum duration of a recording, s: `sweeps`, rounded up to half a second."""
         return float(np.ceil(2 * self.sweeps * SWEEP_SECONDS) / 2)
 
     def risen(self, azimuth: Array) -> Array:
-        """How much higher than their elevation the lines are at azimuths (N,), rad."""
+        """Rise of the lines above their elevation at azimuths (N,), rad."""
         if not len(self.rise):
             return np.zeros_like(azimuth)
         low = self.azimuth_span[0]
@@ -142,7 +142,7 @@ class Sensor:
         rays
             (N, 3) in the sensor's frame, of any length.
         margin
-            (N,) rad, negative to grant as much.
+            (N,) rad, negative to allow as much beyond.
         """
         if self.sees_all_around:
             return np.ones(len(rays), dtype=bool)
@@ -219,7 +219,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     retro_from: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no LiDAR has; `msgspec` says where it is."""
+        """Refuse values that no LiDAR has; `msgspec` reports the place."""
         near, far = self.range_m
         positive = (self.noise_m, self.divergence_mrad, near, far - near, self.full_scale)
         if not all(0.0 < value < np.inf for value in (*positive, self.threshold)):
@@ -233,7 +233,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 "expected elevations_deg and azimuth_step_deg, or rosette_deg and points"
             )
         if not (np.abs([*self._rings(), *(self.rosette_deg or ())]) <= 90.0).all():
-            raise ValueError("elevations_deg and rosette_deg lie within 90° of the horizon")
+            raise ValueError("elevations_deg and rosette_deg must be within 90° of the horizon")
         first, last = self.azimuth_deg
         if not (-360.0 <= first < last <= 360.0 and last - first <= 360.0):
             raise ValueError("azimuth_deg is the first and the last azimuth, at most a turn apart")
@@ -250,7 +250,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return [e for one in each for e in (np.linspace(*one) if isinstance(one, tuple) else [one])]
 
     def sensor(self, name: str) -> Sensor:
-        """Give it its name, in SI units."""
+        """Make the sensor with its name, in SI units."""
         elevations = np.radians(np.sort(self._rings()))
         rise = np.radians(self.rise_deg)
         span = np.radians(self.rosette_deg) if self.rosette_deg else elevations[[0, -1]]
@@ -309,7 +309,7 @@ def find_sensor(name: str) -> Sensor:
     Raises
     ------
     UsageError
-        If no sensor has that name; lists those there are. As `read_sensor` does.
+        If no sensor has that name; lists the known ones. As `read_sensor` does.
     """
     if is_sensor_file(name):
         return read_sensor(Path(name))
@@ -317,13 +317,13 @@ def find_sensor(name: str) -> Sensor:
         if _plain(name) in {_plain(known) for known in (sensor.name, *sensor.aliases)}:
             return sensor
     raise UsageError(
-        f"no sensor is called {name!r}; there are {', '.join(SENSORS)}, auto for any other, "
-        f"and {SENSOR_FILE} files of your own"
+        f"no sensor is named {name!r}; there are {', '.join(SENSORS)}, auto for any other, or "
+        f"a {SENSOR_FILE} file with your own description"
     )
 
 
 SENSOR_FILE = ".toml"
-"""How the name of a file ends that describes a sensor."""
+"""Suffix of a file that describes a sensor."""
 
 
 def is_sensor_file(name: str) -> bool:
@@ -332,7 +332,7 @@ def is_sensor_file(name: str) -> bool:
 
 
 def name_from(folder: Path, name: str) -> str:
-    """Give the name of a sensor so that it means the same from anywhere: a file by its place."""
+    """Give the name of a sensor so that it is valid from any folder: a file by its path."""
     return str((folder / name).resolve()) if is_sensor_file(name) else name
 
 
@@ -340,22 +340,22 @@ def read_sensor(path: Path) -> Sensor:
     """Read the TOML file of one LiDAR.
 
     Its keys are those of a model in ``sensors.toml``. With ``like`` it names a model of the table,
-    from which it takes all that it does not say. ``[errors]`` has the 1 σ of what was measured of
-    the systematic errors of this very LiDAR; what is not in it is as of any such model.
+    which gives all values that the file does not state. ``[errors]`` has the 1 σ of the
+    measured systematic errors of this LiDAR; values not in it are those of the model.
 
     Raises
     ------
     UsageError
-        If there is no such file, or its content is none of these.
+        If there is no such file, or its content is not valid.
     """
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
         like = given.pop("like", None)
-        # Of the table alone: files that are like each other would have no end.
+        # Only a model of the table: files could refer to each other without end.
         model = "" if like is None else find_sensor(str(like).removesuffix(SENSOR_FILE)).name
         listed = msgspec.convert({**_TABLE.get(model, {}), "aliases": (), **given}, Listed)
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: no description of a sensor: {said(error)}") from error
+        raise UsageError(f"{path}: not a description of a sensor: {said(error)}") from error
     return listed.sensor(str(path))
 
 
@@ -388,35 +388,35 @@ TAPE_RANGE = 5.0
 """The table's thresholds are for tape at about this range, metres."""
 
 
-LITTLE = "little is conspicuous"
-"""So ends how a threshold was found that lies among the diffuse returns: none is much brighter."""
+LITTLE = "few returns are conspicuous"
+"""End of the description of a threshold among the diffuse returns: none is much brighter."""
 
 GIVEN = "given"
-"""How a threshold was found that the user gave."""
+"""Description of a threshold given by the user."""
 
 OF_BRIGHTEST = (0.55, 0.78)
-"""The threshold lies between these parts of the brightest returns (140 and 200 of 255)."""
+"""The threshold is between these parts of the brightest returns (140 and 200 of 255)."""
 
 BOTTOM = 0.01
 """Share of the returns that may be below the bottom of the scale."""
 
 
 def auto_threshold(intensity: Array) -> Threshold:
-    """Find the threshold from the cloud itself, on whatever scale it has.
+    """Find the threshold from the cloud itself, on any scale.
 
-    Most returns are diffuse. Their median and 95th percentile show where they end; tape lies well
-    above. Erring low is cheap, since a pole is identified by its shape, so where much of the scene
-    saturates the threshold stays below the brightest returns.
+    Most returns are diffuse. Their median and 95th percentile show where they end; tape is well
+    above. A threshold that is too low costs little, since a pole is identified by its shape, so
+    that if much of the scene saturates the threshold stays below the brightest returns.
 
     Parameters
     ----------
     intensity
         (N,) on a scale of 0–1, 8 bit, 16 bit or any other, as Leica's from -2048 up: parts of the
-        brightest count from zero, or from the bottom of the scale where that is lower.
+        brightest are relative to zero, or to the bottom of the scale if that is lower.
     """
     tail = _end_of_diffuse(intensity)
-    # The brightest return is taken as the sixth: a single glint gives no information about the
-    # scale.
+    # The sixth brightest return is used as the brightest: a single glint gives no information
+    # about the scale.
     rank = min(6, len(intensity))
     top = float(np.partition(intensity, -rank)[-rank])
     # A few returns may have -1, or less, instead of an intensity.
@@ -430,10 +430,11 @@ def auto_threshold(intensity: Array) -> Threshold:
 
 
 def lower_thresholds(intensity: Array, chosen: Threshold) -> tuple[Threshold, ...]:
-    """What to try where a threshold shows too few poles: that of the cloud, and the end of diffuse.
+    """Thresholds to try if one shows too few poles: that of the cloud, and the end of the diffuse
+    returns.
 
-    A sensor's figure is for fresh tape at about 5 m. Old or far tape returns less, and a glint may
-    have the cloud's threshold above it as well. What was given stays as it is.
+    A sensor's figure is for fresh tape at about 5 m. Old or far tape returns less, and because of a
+    glint the cloud's threshold may be above it as well. A given threshold is kept.
 
     Parameters
     ----------
@@ -468,16 +469,16 @@ def threshold_for(
 ) -> Threshold:
     """Choose the threshold: the one given, else the sensor's, else the cloud's.
 
-    A sensor's figure is used on the scale the cloud has it: a driver that divides by the full
-    scale leaves no intensity above 1. It falls with the range where that leaves all diffuse returns
+    A sensor's figure is used on the scale of the cloud: after division by the full scale in a
+    driver no intensity is above 1. It falls with the range as long as all diffuse returns are
     below it: those that the sensor's maker states, and those of the cloud beyond `TAPE_RANGE`.
 
     Parameters
     ----------
     intensity, ranges
-        (N,) of the cloud; ranges from where the beams start, metres.
+        (N,) of the cloud; ranges from the beam origin, metres.
     sensor, given
-        What recorded it, and what the user states; None if either is not known.
+        The sensor, and the threshold of the user; None if either is not known.
     """
     if given is not None:
         return Threshold(float(given), GIVEN)

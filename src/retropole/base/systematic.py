@@ -1,7 +1,7 @@
-"""Systematic errors of LiDARs: their kinds, their sizes, and what each does to a return.
+"""Systematic errors of LiDARs: their kinds, their sizes, and the effect of each on a return.
 
 An error that one LiDAR repeats at every return leaves no scatter, and much of it no residual: the
-pose absorbs it. What is known of its size must then come from the instrument (type B of the GUM,
+pose absorbs it. Its size must then be known from the instrument (type B of the GUM,
 JCGM 100:2008). Each kind is a random effect ``b ~ N(0, σ²)``, the same wherever that LiDAR's
 returns are used, on poles and on surfaces. With measured range ρ, azimuth α and elevation ε, the
 true return lies at::
@@ -11,13 +11,13 @@ true return lies at::
     elevation  ε + wobble_c cos α + wobble_s sin α + Σ_k (bend_kc cos kα + bend_ks sin kα)
                + elevation + ring_elevation(ring),    k = 2, 3,
 
-and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
-A constant error of the azimuth is a rotation of the LiDAR's frame, which no scan can show. What
-the rings' errors of it have in common is one too: it stays in, since with σ/√n for n rings it
-is as small as unmodelled errors.
+and its beam is e^width times as wide as assumed, which only the edges of poles show.
+A constant error of the azimuth is a rotation of the LiDAR's frame, which no scan can show. The
+common part of the azimuth errors of the rings is such a rotation too: it is kept, since with σ/√n
+for n rings it is as small as unmodelled errors.
 
-If a mast sways while its LiDAR records, the mean pose may be off the one where it rests
-(`Sway`): an error of that recording, and of all that use it.
+If a mast sways while its LiDAR records, the mean pose may differ from that at rest (`Sway`): an
+error of that recording, and of all results that use it.
 """
 
 from __future__ import annotations
@@ -43,36 +43,36 @@ BAND = np.radians(1.0)
 64 rings and more have several in a band, which then are treated as one."""
 
 RANGE_TO_OFFSET = 3.0
-"""A manufacturer's ± figure for the range is taken for this many σ of the offset that all returns
-share: the bound that hardly any device exceeds."""
+"""A manufacturer's ± figure for the range is treated as this many σ of the offset that all returns
+share: a bound that hardly any device exceeds."""
 
 USUAL_WIDTH, STATED_WIDTH = 0.5, 0.2
-"""1 σ of the logarithm of the width of a beam: of a LiDAR that is not known, since manufacturers'
-figures range from 1.5 to 8 mrad, and of one that is, since some state the width at half of the
-power and others that at an eighth, 1.7 times as much."""
+"""1 σ of the logarithm of the width of a beam: for an unknown LiDAR, since manufacturers' figures
+range from 1.5 to 8 mrad, and for a known one, since some state the width at half of the power
+and others that at an eighth, 1.7 times as much."""
 
 SPINNING_BEND = float(np.radians(0.003))
-"""1 σ of how scan lines bend where a LiDAR turns about one axis, rad: then only its bearing bends
-them, by less than it lets the axis wobble. Mirrors that turn about two axes, and lenses, distort a
-whole field of view. With 0.002, 0.003 and 0.006° the region contains 79, 86 and 95 % of truths
-where lines are bent by 0.02° (benchmarks/coverage.py, 58 runs from seed 1000), and errors where
+"""1 σ of the bend of scan lines of a LiDAR that rotates about one axis, rad: then only its bearing
+bends them, by less than the wobble of the axis. Mirrors that rotate about two axes, and lenses,
+distort a whole field of view. With 0.002, 0.003 and 0.006° the region contains 79, 86 and 95 % of
+truths if lines are bent by 0.02° (benchmarks/coverage.py, 58 runs from seed 1000), and errors if
 they are not are 5, 7 and 14 % larger than without (tuning families, seeds 0 to 23)."""
 
 SPINNING_ELEVATION = float(np.radians(0.01))
-"""1 σ of what the elevations of all beams are off by where each laser is adjusted by itself, rad.
-With 0.003, 0.01 and 0.02° the region holds 75, 96 and 100 % of truths where they are off by 0.03°,
+"""1 σ of the common error of the elevations of all beams if each laser is adjusted separately, rad.
+With 0.003, 0.01 and 0.02° the region contains 75, 96 and 100 % of truths if they are off by 0.03°,
 and 100 % in all other tuning families, whose errors are the same (benchmarks/coverage.py, 24 runs
 each)."""
 
 HARMONICS = (2, 3)
-"""Periods over a turn of what bends scan lines: a parabola and a cubic over the field of view of a
-LiDAR that looks one way."""
+"""Periods per turn of the bend of scan lines: a parabola and a cubic over the field of view of a
+LiDAR with a limited field of view."""
 
 MIN_ZERO = 0.005
 """Least 1 σ of the range offset, metres, whatever the manufacturer says."""
 
 MIN_ERROR_SIGMA = 1e-9
-"""Least 1 σ of an error, in its unit: one that is not there."""
+"""Least 1 σ of an error, in its unit: one that does not occur."""
 
 MAX_TANGENT = 5.0
 """Tangent of the incidence up to which the pulse is treated as stretched, about 79°."""
@@ -97,15 +97,15 @@ class Sizes:
         Of each of the cosine and the sine over the azimuth: error of the azimuth of an eccentric
         encoder, and of the elevation under a tilted axis of rotation, rad.
     bend
-        Of each of the cosines and sines of `HARMONICS`: error of the elevation where scan lines are
-        bent, rad. Manuals name 0.01 to 0.1° as angular accuracy: what is assumed of a LiDAR that is
-        not known is the middle of that, on a logarithmic scale.
+        Of each of the cosines and sines of `HARMONICS`: error of the elevation by bent scan
+        lines, rad. Manuals state 0.01 to 0.1° as angular accuracy: the value assumed for an unknown
+        LiDAR is the middle of that, on a logarithmic scale.
     elevation
         Error of the elevation that all beams share, rad.
     tape
         Range offset of retro-reflective returns relative to all others, metres.
     ring_range, ring_elevation, ring_azimuth
-        Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
+        Of each ring, metres and rad: of the azimuth if each laser has an offset to the encoder
         or a separate delay.
     width
         Of the beam, relative: of its logarithm.
@@ -126,9 +126,9 @@ class Sizes:
 
 
 MAP_DISTORTION = np.diag(np.r_[np.full(3, 0.005 / 30.0), np.full(3, 0.005)] ** 2)
-"""(6, 6) how far a map may be off about a LiDAR, rad and m: clouds of several LiDARs, or of a walk,
-do not coincide exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0 to 31:
-without it 3 were outside of the 95 % region."""
+"""(6, 6) covariance of the distortion of a map about a LiDAR, rad and m: clouds of several LiDARs,
+or of a walk, do not coincide exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0
+to 31: without it 3 were outside of the 95 % region."""
 
 
 def spinning(sizes: Sizes) -> Sizes:
@@ -148,7 +148,7 @@ def sizes_of(sensor: Sensor | None) -> Sizes:
     if sensor.range_accuracy is not None:
         retro = sensor.retro_accuracy
         zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
-        # Of a maker who states nothing of retro-reflectors: an assumption.
+        # For a maker that states nothing about retro-reflectors: an assumption.
         tape = 0.007 if retro is None else retro / RANGE_TO_OFFSET
         sizes = replace(sizes, zero=zero, tape=tape)
     return replace(sizes, **sensor.errors)
@@ -187,13 +187,14 @@ RING_KINDS = (
 RING = len(RING_KINDS)
 DEVICE = len(DEVICE_KINDS)
 TAPE, WIDTH = DEVICE - 2, DEVICE - 1
-"""Parameters of a whole LiDAR, and which of them only tape has, and only edges show."""
+"""Parameters of a whole LiDAR, and which of them apply to tape only, and are shown by edges
+only."""
 
 RADIUS = 2 * DEVICE
 """Index of the error of the poles' radius, after those of the target and of the source."""
 
 SHARED_ERRORS = RADIUS + 1
-"""Parameters that are no single ring's."""
+"""Parameters that do not belong to a single ring."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +211,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """How many errors there are."""
+        """Number of errors."""
         return SHARED_ERRORS + RING * (len(self.bands[0]) + len(self.bands[1]))
 
     def device(self, lidar: int) -> slice:
@@ -225,7 +226,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Which errors have one 1 σ in common.
+    """Groups of errors with a common 1 σ.
 
     Attributes
     ----------
@@ -279,7 +280,7 @@ def by_error(
     device, ring
         (N, …, 14) by the errors of the whole LiDAR, (N, …, 3) by those of the return's ring.
     """
-    # From where azimuths count makes no difference: their cosine and sine have one size.
+    # The origin of azimuths makes no difference: their cosine and sine have the same size.
     start = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
     level = np.stack([rays @ start, rays @ np.cross(axis, start)], axis=1)
     cosine, sine = (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None]).T
@@ -302,7 +303,7 @@ def by_error(
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """What is known of the errors before the data.
+    """Prior knowledge of the errors.
 
     Attributes
     ----------
@@ -311,8 +312,8 @@ class ErrorModel:
     radius_sigma
         1 σ of the radius, metres.
     left
-        (6, 6) for each LiDAR, how far its recordings are from where it rests (`Sway`); none
-        where all stand.
+        (6, 6) for each LiDAR, the covariance of its recordings relative to rest (`Sway`); none if
+        no LiDAR sways.
     """
 
     sizes: tuple[Sizes, ...] = (Sizes(), Sizes())
@@ -336,7 +337,7 @@ ENOUGH = 2.0
 
 LEVER = 6.0
 """A mast that turns shifts its LiDAR by this many metres per radian: the height of a lamppost,
-whose top bends by less. Where nothing measures the shift this is taken for it."""
+whose top bends by less. Used if the shift is not measured."""
 
 
 class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequency_hz"}):
@@ -345,15 +346,15 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
     Attributes
     ----------
     angle_rad
-        Root mean square of the angle from rest that was seen; of a sway that was stated and not
-        seen, what was stated.
+        Root mean square of the angle from rest that was seen; the stated value if the sway was
+        stated and not seen.
     frequency
         Of the oscillation, Hz; None if it was stated.
     seconds
         How long the recording took.
     covariance
-        (6, 6) of what is left between the pose that all points were brought to and rest, over
-        rotation and translation, rad and m.
+        (6, 6) of the remaining difference between rest and the pose to which all points were
+        corrected, over rotation and translation, rad and m.
     times_s, angles_rad
         The motion as it was seen, from the first sweep on: the angle in its main direction.
     is_shared
@@ -375,19 +376,19 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
 
     @property
     def seconds_more(self) -> float:
-        """How much longer to record for `ENOUGH` periods, s; 0 if they are there."""
+        """How much longer to record for `ENOUGH` periods, s; 0 if they were recorded."""
         if self.frequency is None or self.is_shared:
             return 0.0
         return max(ENOUGH / self.frequency - self.seconds, 0.0)
 
     @property
     def words(self) -> str:
-        """How much it was, how well is known where the LiDAR rests, and how long to record."""
+        """Its size, how well the position at rest is known, and how long to record."""
         angle = f"± {math.degrees(self.angle_rad):.2g}°"
         if self.frequency is None:
             return (
-                f"{angle} as stated; the recording does not show where it rests, so the stated "
-                "error has all of it: record 10 s or more"
+                f"{angle} as stated; the recording does not show its position at rest, so the "
+                "stated error includes the whole sway: record 10 s or more"
             )
         if self.is_shared:
             return (
@@ -396,18 +397,18 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
             )
         more = f": record {math.ceil(self.seconds_more)} s more" if self.seconds_more else ""
         return (
-            f"{angle} at {self.frequency:.2g} Hz, {self.periods:.1f} periods; where it rests is "
-            f"known to ± {math.degrees(self.left_rad):.1g}°{more}"
+            f"{angle} at {self.frequency:.2g} Hz, {self.periods:.1f} periods; its position at "
+            f"rest is known to ± {math.degrees(self.left_rad):.1g}°{more}"
         )
 
     @property
     def periods(self) -> float:
-        """How many periods were recorded; 0 of a sway that was stated."""
+        """Number of periods that were recorded; 0 for a stated sway."""
         return self.seconds * (self.frequency or 0.0)
 
 
 def stated_sway(sigma: float) -> Sway:
-    """Give the stated sway of a mast, where a recording does not show it.
+    """Give the stated sway of a mast, if a recording does not show it.
 
     `sigma` is the root mean square of its angle from rest, rad. A mast turns about level axes, half
     of the variance about each; which axes of the LiDAR are level is not known: any may be.
@@ -417,7 +418,7 @@ def stated_sway(sigma: float) -> Sway:
 
 
 def remaining_sway(sways: Sequence[Sway | None]) -> Array:
-    """(6, 6) covariance of what is left of the sway of one LiDAR in the mean of its recordings."""
+    """(6, 6) covariance of the remaining sway of one LiDAR in the mean of its recordings."""
     left = sum((each.covariance for each in sways if each is not None), np.zeros((6, 6)))
     return np.asarray(left / max(len(sways), 1) ** 2)
 

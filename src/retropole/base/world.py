@@ -72,7 +72,7 @@ class OnWgs84(NamedTuple):
 
 
 def tangent_frame(epsg: int, coordinates: Array) -> Frame:
-    """Take the metric frame in which to adjust what was surveyed in a projected system.
+    """Choose the metric frame for the adjustment of a survey in a projected system.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def tangent_frame(epsg: int, coordinates: Array) -> Frame:
 
 
 def to_site(frame: Frame, coordinates: Array) -> Array:
-    """Take coordinates of the frame, as surveyed, to those of the site (N, 3), metres.
+    """Convert coordinates of the frame, as surveyed, to those of the site (N, 3), metres.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def to_site(frame: Frame, coordinates: Array) -> Array:
 
 
 def in_metres(site: Site) -> Site:
-    """Take a site that was surveyed in a projected system to its metric frame (`tangent_frame`).
+    """Convert a site that was surveyed in a projected system to its metric frame (`tangent_frame`).
 
     What LiDARs measure is as it was. A site in any other frame is metric already, and stays.
 
@@ -155,7 +155,8 @@ def in_metres(site: Site) -> Site:
 
 
 def to_frame(frame: Frame, xyz: Array) -> Array:
-    """Take places of the site (N, 3) to the coordinates of the frame, metres: undoes `to_site`."""
+    """Convert places of the site (N, 3) to the coordinates of the frame, metres: the inverse of
+    `to_site`."""
     full = np.asarray(xyz, dtype=float) + frame.offset
     if frame.epsg is None or frame.geodetic is None:
         return np.asarray(full)
@@ -177,8 +178,8 @@ def geodetic(frame: Frame, xyz: Array) -> Array:
     """
     if frame.epsg is None and frame.geodetic is None:
         raise UsageError(
-            f"nothing ties the frame of the site ({frame.name}) to the earth: give its EPSG code, "
-            "or latitude, longitude and height of its origin"
+            f"the frame of the site ({frame.name}) has no known position on the earth: give its "
+            "EPSG code, or latitude, longitude and height of its origin"
         )
     full = np.asarray(xyz, dtype=float) + frame.offset
     if frame.epsg is None:
@@ -210,7 +211,7 @@ def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
     step = Transformer.from_crs(system.crs, "EPSG:4326", always_xy=True)
     longitude, latitude = step.transform(full[:, 0], full[:, 1])
     if not np.isfinite([longitude, latitude]).all():
-        raise UsageError(f"PROJ has no way from {system.name} to WGS 84 there")
+        raise UsageError(f"PROJ has no transformation from {system.name} to WGS 84 there")
     moved = np.column_stack([np.radians(latitude), np.radians(longitude), full[:, 2]])
     with suppress(ProjError):
         # Of several operations, the one for this place.
@@ -220,7 +221,7 @@ def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
 
 
 def in_projected(frame: Frame, xyz: Array, epsg: int) -> Array:
-    """Take places of the site (N, 3) to another projected system: east, north, height as it was.
+    """Convert places of the site (N, 3) to another projected system: east, north, unchanged height.
 
     By the best operation from datum to datum that PROJ has the data for, as `on_wgs84`.
 
@@ -239,7 +240,7 @@ def in_projected(frame: Frame, xyz: Array, epsg: int) -> Array:
 
     moved = Transformer.from_crs(crs, to.crs, always_xy=True).transform(east, north)
     if not np.isfinite(moved).all():
-        raise UsageError(f"PROJ has no way from {frame.name} to {to.name} there")
+        raise UsageError(f"PROJ has no transformation from {frame.name} to {to.name} there")
     return np.column_stack([*moved, height])
 
 
@@ -286,7 +287,9 @@ def _origin(frame: Frame) -> Array:
     assert frame.geodetic is not None
     at = frame.geodetic.array
     if not (np.isfinite(at).all() and abs(at[0]) <= np.pi / 2 and abs(at[1]) <= 2 * np.pi):
-        raise UsageError(f"latitude and longitude {np.degrees(at[:2])} deg are no place on earth")
+        raise UsageError(
+            f"latitude and longitude {np.degrees(at[:2])} deg are outside the valid range"
+        )
     return at
 
 

@@ -76,7 +76,7 @@ class CarrierMotion:
 
     @property
     def seen(self) -> Reason:
-        """Say that the carrier moved, and that its motion is removed."""
+        """Report that the carrier moved, and that its motion is removed."""
         speed = float(np.linalg.norm(self.velocity[TRANSLATION]))
         sigma = least_certain(self.covariance, TRANSLATION).sigma / abs(self.apart)
         rate, turned = value_and_error(speed, sigma), self._turned
@@ -84,19 +84,19 @@ class CarrierMotion:
             "carrier_moved",
             f"the carrier of the LiDARs moved while they recorded, by {rate} each second as their "
             f"sweeps show, and the recordings are {1e3 * abs(self.apart):.0f} ms apart: the "
-            f"{error(self._moved)} and {turned} that this makes of the pose are removed",
+            f"{error(self._moved)} and {turned} that this adds to the pose are removed",
             self._values,
         )
 
     def explains(self, step: Array) -> Reason:
-        """Say that a carrier that crept may have made a step (6,) of the pose."""
+        """Report that the creep of a carrier may have caused a step (6,) of the pose."""
         moved = float(np.linalg.norm(step[TRANSLATION]))
         return Reason(
             "carrier_moved",
             f"the recordings are {1e3 * abs(self.apart):.0f} ms apart by their timestamps: a "
-            f"carrier that creeps at {moved / abs(self.apart):.2f} m/s makes such a pose of LiDARs "
-            "that did not move on it, and single sweeps do not show whether it did; record some "
-            "seconds, or while it is at rest",
+            f"carrier that creeps at {moved / abs(self.apart):.2f} m/s gives such a pose "
+            "although the LiDARs did not move on it, and single sweeps do not show whether the "
+            "carrier moved; record some seconds, or while it is at rest",
             {"apart_s": self.apart, "speed_m_s": moved / abs(self.apart)},
         )
 

@@ -68,7 +68,7 @@ class Correspondence:
 
 
 def correspond(target: Sequence[Pole], source: Sequence[Pole]) -> Correspondence:
-    """Say which poles are the same, by their distances and angles alone.
+    """Match the poles that are the same, by their distances and angles alone.
 
     Poles up to half a metre from where the others place them are treated as the same:
     that they do not fit is for the test to find.
@@ -331,7 +331,8 @@ def _too_few(total: int) -> Reason:
     return Reason(
         "too_few_distances",
         f"{counted(total, 'distance')} between poles that both LiDARs see, {MIN_DISTANCES} are "
-        "needed: four poles give 6, three give 3, two give 1, and placements add up",
+        "needed: four poles give 6, three give 3, two give 1, and the distances of placements are "
+        "added",
         {"distances": total, "needed": MIN_DISTANCES},
     )
 
@@ -359,7 +360,7 @@ def _axes(seen: Seen, radius: float, radius_sigma: float) -> LidarAxes:
 def _targets(
     used: Sequence[tuple[Placement, Correspondence]], axes: tuple[LidarAxes, LidarAxes]
 ) -> tuple[list[Targets], list[Targets]]:
-    """Say for each LiDAR which of its axes belong together, and where on them to measure."""
+    """Find for each LiDAR the axes that belong together, and the points on them to measure."""
     targets: tuple[list[Targets], list[Targets]] = [], []
     first = 0
     for _, each in used:

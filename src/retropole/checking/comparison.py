@@ -96,7 +96,7 @@ def compare(
     """
     unknown = [name for name in methods if name not in ALL_METHODS]
     if unknown:
-        raise UsageError(f"no method is called {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
+        raise UsageError(f"no method is named {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
 
     ours: Calibration | None = None
     found: list[Compared] = []
@@ -121,7 +121,7 @@ def compare(
 
 
 def _outcome_of_ours(name: str, answer: Calibration) -> Compared:
-    """Take the outcome of the poles alone, or with the scene, from one calibration."""
+    """Extract the outcome of the poles alone, or with the scene, from one calibration."""
     codes = tuple(reason.code for reason in answer.reasons)
     message = answer.reasons[0].message if answer.reasons else ""
     alone = name == "poles"

@@ -117,7 +117,7 @@ def distances(points: Array, directions: Array, offsets: Array) -> Array:
 
 
 def middles(state: State, poles: Sequence[Pole], index: IntArray, signs: Array) -> Array:
-    """Say how far from its place on each axis (K,) the middle of what a LiDAR saw of it lies."""
+    """Distance on each axis (K,) of its point from the middle of the part that a LiDAR saw."""
     directions = signs[:, None] * state.directions[index]
     seen = np.array([pole.point for pole in poles]) - places(state.points[index], directions)
     return np.asarray(np.einsum("ki,ki->k", seen, directions))

@@ -1,12 +1,12 @@
-"""Is an installed site still where it was? New recordings against a stored calibration.
+"""Has an installed LiDAR moved? New recordings against a stored calibration.
 
-The pose is found again, with the poles where they are there, by the scene alone where they are not.
+The pose is estimated again, with poles if there are any, otherwise by the scene alone.
 Only the new clouds are registered to each other, so the surroundings may have changed since.
 Whether the new pose is the stored one is tested by `movement`.
 
-Where target and source were given in reverse order, the stored pose reversed fits
-(`swapped_clouds`). A swap looks like a movement by metres or by half a turn. No movement ends by
-chance where the pose reversed is.
+If target and source were given in reverse order, the inverse of the stored
+pose fits (`swapped_clouds`). A swap looks like a movement by metres or by half a turn. No movement
+ends by chance at the inverse pose.
 """
 
 from __future__ import annotations
@@ -48,19 +48,20 @@ from .tolerance import NO_REQUEST, RequestedTolerance
 PARTS = ROTATION, TRANSLATION
 
 NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
-"""Warnings of a new calibration by poles that leave the scene alone to answer."""
+"""Warnings of a new calibration by poles after which only the scene is used."""
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
 """1 σ about the stored pose from which the scene starts, rad and m: wide compared with what the
 scene constrains, so that the answer is not drawn back to the stored pose, and too wide for *same*
-in what it does not hold. Surfaces correspond over three times as much, and more."""
+in directions that it does not constrain. Surfaces correspond over three times this distance, and
+more."""
 
 NEAR_STORED_ROTATION = float(np.radians(10.0))
-"""1 σ of the rotation that decides between hypotheses where the surroundings do not, rad."""
+"""1 σ of the rotation that decides between hypotheses if the surroundings do not, rad."""
 
 MAX_FREE_SPACE_VIOLATION = 0.05
 """Largest share of points, under the new pose, where the other LiDAR looked through. The
-right pose has up to 0.02 of them, at the edges of objects; wrong ones that cling to the ground have
+right pose has up to 0.02 of them, at the edges of objects; wrong ones that fit the ground only have
 0.02 and more, but are then as uncertain as the search was wide (benchmarks/check.py)."""
 
 
@@ -68,7 +69,7 @@ right pose has up to 0.02 of them, at the edges of objects; wrong ones that clin
 class NewPose:
     """A pose found again, or None, and remarks on it.
 
-    `is_uncertain` says that it must not be taken for a movement, nor for none.
+    `is_uncertain`: it must be treated neither as a movement nor as none.
     """
 
     pose: PoseEstimate | None
@@ -79,9 +80,9 @@ class NewPose:
 
 @dataclass(frozen=True, eq=False)
 class Clouds:
-    """The new recordings, without what moved, and both views where they are requested.
+    """The new recordings, without moving objects, and both views if they are requested.
 
-    `left` is what is left of the sway of both LiDARs.
+    `left` is the remaining sway of both LiDARs.
     """
 
     target: PointCloud
@@ -100,10 +101,10 @@ def by_poles(
     again: Calibration,
     options: Options,
 ) -> NewPose:
-    """Calibrate again, from all hypotheses: a LiDAR that was turned round must not seem unmoved.
+    """Calibrate again, from all hypotheses: a LiDAR that was turned by 180° must not seem unmoved.
 
-    Only where the surroundings do not decide between them, those near the stored pose are
-    preferred: no LiDAR comes loose to end up half a turn away in a place of that symmetry.
+    Only if the surroundings do not decide between them, those near the stored pose are
+    preferred: a loose LiDAR does not end half a turn away in a place of exactly that symmetry.
     """
     answer = again
     if is_ambiguous(answer):
@@ -123,12 +124,12 @@ def by_poles(
 
 
 def is_ambiguous(answer: Calibration) -> bool:
-    """Whether the surroundings do not decide between hypotheses that the poles give."""
+    """Whether the surroundings do not decide between hypotheses from the poles."""
     return [reason.code for reason in answer.reasons] == ["ambiguous"]
 
 
 def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose:
-    """Lay the surfaces of both clouds on each other, from about the stored pose."""
+    """Align the surfaces of both clouds, starting about the stored pose."""
     start = PoseEstimate(stored.T_target_source, search_covariance(), stored.rms)
     with threadpool_limits(1, user_api="blas"):
         refined = refine(clouds.target, clouds.source, start, model=model)
@@ -136,8 +137,8 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
         reason = Reason(
             "no_common_surfaces",
             "near the stored pose the clouds have no surfaces in common: a LiDAR was moved by more "
-            "than a few degrees or decimetres, these are other LiDARs (or the other way round), or "
-            "the place has none; calibrate again",
+            "than a few degrees or decimetres, these are other LiDARs or swapped, or the place "
+            "has no such surfaces; calibrate again",
             {},
         )
         return NewPose(None, reasons=(reason,))
@@ -165,12 +166,12 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
 
 
 def search_covariance() -> Array:
-    """(6, 6) about the stored pose: how far from it the scene alone is searched."""
+    """(6, 6) about the stored pose: the range of the search by the scene alone."""
     return np.diag(np.repeat([SEARCH_ROTATION, SEARCH_TRANSLATION], 3) ** 2)
 
 
 def _misfit(clouds: Clouds, T: Array) -> Reason | None:
-    """Say how far the clouds are from fitting together under a pose; None if they fit."""
+    """Give the refusal of clouds that do not fit together under a pose; None if they fit."""
     views = clouds.views
     sizes = {"target": views[0].size, "source": views[1].size}
     if min(sizes.values()) < MIN_CLOUD_POINTS:
@@ -180,32 +181,32 @@ def _misfit(clouds: Clouds, T: Array) -> Reason | None:
         return None
     return Reason(
         "clouds_do_not_fit",
-        "the clouds do not fit together at or near the stored pose: "
-        f"{found.overlap:.0%} of the points have a neighbour in the other cloud "
-        f"({MIN_OVERLAP:.0%} are needed), {found.free_space_violation:.1%} stand where the other "
-        f"LiDAR looked through ({MAX_FREE_SPACE_VIOLATION:.0%} are allowed): a LiDAR was moved "
-        "far, these are other LiDARs, or they recorded at different times; calibrate again",
+        f"the clouds do not fit together at or near the stored pose: {found.overlap:.0%} of the "
+        f"points have a neighbour in the other cloud ({MIN_OVERLAP:.0%} are needed), "
+        f"{found.free_space_violation:.1%} are in space that the other LiDAR saw to be empty "
+        f"({MAX_FREE_SPACE_VIOLATION:.0%} are allowed): a LiDAR was moved far, these are other "
+        "LiDARs, or they recorded at different times; calibrate again",
         {"overlap": found.overlap, "contradiction": found.free_space_violation},
     )
 
 
 NEAR_ROTATION, NEAR_TRANSLATION = float(np.radians(2.0)), 0.2
-"""A pose that was found is the stored one reversed where it is so near to it, rad and m. Twice the
+"""A pose is treated as the inverse of the stored one if it differs by less, rad and m. Twice the
 range over which `drift` searches about the stored pose."""
 
 MORE = 3.0
-"""This many times more voxels agree with the stored pose reversed than with the stored one. In six
-simulated scenes, swapped, it was 10 and more."""
+"""Factor by which more voxels must agree with the inverse of the stored pose than with the stored
+one. In six simulated scenes, swapped, it was 10 and more."""
 
 SEPARATION = 3.0
-"""The stored pose and its reverse must be this many times farther from each other. Where they are
-not, as of two LiDARs back to back at one height, either order gives the same answer."""
+"""The stored pose and its inverse must be this many times farther from each other. If they are not,
+as for two LiDARs back to back at the same height, either order gives the same answer."""
 
 
 def swapped_sensors(
     placement: Placement, sensors: tuple[Sensor | None, Sensor | None]
 ) -> Reason | None:
-    """Say that each cloud is of the other's sensor; None if it is not so."""
+    """Report that each cloud is of the other's sensor; None if that is not the case."""
     if sensors[0] is None or sensors[1] is None:
         return None
     try:
@@ -214,8 +215,8 @@ def swapped_sensors(
     except Refusal:
         return None
     return swap(
-        f"TARGET's rings are not those of the {sensors[0].name} that the result's target is, or "
-        f"SOURCE's not those of the {sensors[1].name}, and the other way round they fit",
+        f"TARGET's rings are not those of the {sensors[0].name} that is the target of the "
+        f"result, or SOURCE's not those of the {sensors[1].name}, and swapped they fit",
         {"told_by": "sensors"},
     )
 
@@ -226,7 +227,8 @@ def swapped_clouds(
     scenes: Sequence[tuple[SceneObjects, SceneObjects]],
     found: Confirmation,
 ) -> Reason | None:
-    """Say that the stored pose reversed fits where the stored pose does not; None if it is not so.
+    """Report that the inverse of the stored pose fits and the stored pose does not; None if that is
+    not the case.
 
     Parameters
     ----------
@@ -238,7 +240,7 @@ def swapped_clouds(
         Conclusion about the stored pose.
     """
     reverse = se3.inverse(T_stored)
-    rotation, translation = _apart(T_stored, reverse)
+    rotation, translation = _step_size(T_stored, reverse)
     if rotation < SEPARATION * NEAR_ROTATION and translation < SEPARATION * NEAR_TRANSLATION:
         return None
     there = count(scenes, reverse)
@@ -249,8 +251,8 @@ def swapped_clouds(
         and there.agreeing >= MORE * found.agreeing
     )
     if T_found is not None:
-        # Poles that give another pose say more than voxels that happen to agree.
-        rotation, translation = _apart(T_found, reverse)
+        # Poles that give another pose are stronger evidence than voxels that happen to agree.
+        rotation, translation = _step_size(T_found, reverse)
         agrees = rotation < NEAR_ROTATION and translation < NEAR_TRANSLATION
     if not agrees:
         return None
@@ -268,30 +270,28 @@ def swapped_clouds(
 
 
 def swap(why: str, values: dict[str, float | int | str]) -> Reason:
-    """Say that target and source are swapped, and what to do."""
-    return Reason(
-        "swapped", f"TARGET and SOURCE are swapped: {why}; give them the other way round", values
-    )
+    """Report that target and source are swapped, with advice."""
+    return Reason("swapped", f"TARGET and SOURCE are swapped: {why}; exchange them", values)
 
 
-def _apart(T: Array, other: Array) -> tuple[float, float]:
+def _step_size(T: Array, other: Array) -> tuple[float, float]:
     step = se3.local(T, other)
     return float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
 
 
 NO_RECORDINGS = ("far_from_lidar", "same_recording", "wrong_unit", "wrong_sensor")
-"""Refusals of a new calibration that leave the scene nothing to answer by either."""
+"""Refusals of a new calibration after which the scene cannot be used either."""
 
 PREFERRED = 2.0
-"""The surfaces must fit this many σ better under the new pose than under the stored one before it
-has moved. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once in a
-hundred times (docs/check.md). Of 52 simulated recordings moved by the tolerance all have 2.8 and
-more, corridors of few places least (seeds 0 to 12)."""
+"""A movement is reported only if the surfaces fit this many σ better under the new pose than under
+the stored one. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once
+in a hundred times (docs/check.md). Of 52 simulated recordings moved by the tolerance all have 2.8
+and more, corridors of few places least (seeds 0 to 12)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """What is stored, by which devices, and how small a movement must be detected."""
+    """The stored calibration, its devices, and the smallest movement that must be detected."""
 
     stored: PoseEstimate
     uncertainty: Uncertainty | None
@@ -309,23 +309,23 @@ def check(
     uncertainty: Uncertainty | None = None,
     tolerance: RequestedTolerance = NO_REQUEST,
 ) -> CheckResult:
-    """Find the pose again and test it against the stored one.
+    """Estimate the pose again and test it against the stored one.
 
     Parameters
     ----------
     stored
         The calibration of the site, with its covariance.
     target, source
-        New recordings of the same two LiDARs, each in its own frame. Poles are used where both
-        see them, and need not be where they were; without, or without intensities, the scene
-        must do.
+        New recordings of the same two LiDARs, each in its own frame. Poles are used if both
+        see them, and may be at other positions; without poles or intensities, the scene
+        is used.
     options
-        What is known of both, as for `pipeline.calibrate`.
+        Options of both, as for `pipeline.calibrate`.
     uncertainty
-        The stored covariance in its two kinds, where these LiDARs were calibrated by this program;
-        None, as of a pose of another source, shares no errors with the new one.
+        The two parts of the stored covariance, if these LiDARs were calibrated by this program;
+        with None, as for a pose from another source, no errors are shared with the new one.
     tolerance
-        The movement that matters, or as small a one as these data can show.
+        The movement that matters, or the smallest that these data can show.
 
     Raises
     ------
@@ -340,19 +340,20 @@ def check(
     if carrier is not None and carrier.is_seen:
         target, source = carrier.without_motion(stored.T_target_source, target, source)
     question = _Question(stored, uncertainty, tolerance, options.sensors, carrier)
-    # Surfaces about the stored pose show more than candidate poles, in a thirtieth of the time.
+    # Surfaces about the stored pose are more informative than candidate poles, in a thirtieth of
+    # the time.
     confirmed = replace(options, candidates=False)
     answer = _answered(question, calibrate(target, source, options=confirmed), confirmed)
     if _is_off(answer):
         again = calibrate(target, source, options=options)
-        # What the surfaces show without a pose from the poles was just found.
+        # The result of the surfaces without a pose from the poles was just found.
         if again.T_target_source is not None or is_ambiguous(again):
             answer = _answered(question, again, options)
     return _with_carrier(answer, carrier)
 
 
 def _with_carrier(answer: CheckResult, carrier: CarrierMotion | None) -> CheckResult:
-    """Say that the carrier moved; take a movement back that its motion explains, as far as known.
+    """Report that the carrier moved; withdraw a movement that its motion explains, as far as known.
 
     A movement of the rig has the same test as without, by the covariance that the motion adds.
     """
@@ -374,7 +375,7 @@ def _with_carrier(answer: CheckResult, carrier: CarrierMotion | None) -> CheckRe
 
 
 def _answered(question: _Question, again: Calibration, options: Options) -> CheckResult:
-    """Hold a calibration of the new recordings against the stored pose."""
+    """Test a calibration of the new recordings against the stored pose."""
     sensors, T_stored = question.sensors, question.stored.T_target_source
     recorded = again.placements[0]
     for reason in again.reasons:
@@ -399,9 +400,9 @@ def _answered(question: _Question, again: Calibration, options: Options) -> Chec
 
 
 def _is_off(answer: CheckResult) -> bool:
-    """Whether nothing fits about the stored pose: a LiDAR was moved, or they are swapped.
+    """Whether nothing fits near the stored pose: a LiDAR was moved, or they are swapped.
 
-    Then poles alone may say where.
+    Then only poles may show the new pose.
     """
     codes = [reason.code for reason in answer.reasons]
     if answer.status != "cannot_tell" or "swapped" in codes or answer.confirmation is None:
@@ -410,7 +411,7 @@ def _is_off(answer: CheckResult) -> bool:
 
 
 def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
-    """Test the pose that the poles give, or else the scene, against the stored one."""
+    """Test the pose from the poles, otherwise that from the scene, against the stored one."""
     stored, sensors = question.stored, question.sensors
     sizes = error_sizes(clouds.target, sensors[0]), error_sizes(clouds.source, sensors[1])
     model = ErrorModel(sizes, left=clouds.left)
@@ -436,13 +437,13 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
 
 
 def _checked_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
-    """Take back that nothing moved where the scene conflicts with the stored pose."""
+    """Withdraw the answer *same* if the scene conflicts with the stored pose."""
     if answer.status != "same" or not is_in_conflict(found):
         return answer
     contradicted = Reason(
         "scene_denies_stored",
-        f"under the stored pose, of the patches off the ground {found.counts} "
-        f"({found.contradicted:.0%} against it; {MAX_CONFLICTING:.0%} are allowed). Were both "
+        f"under the stored pose, of the patches above the ground {found.counts} "
+        f"({found.contradicted:.0%} contradict it; {MAX_CONFLICTING:.0%} are allowed). Were both "
         "clouds recorded at the same time, by the LiDARs of the stored result?",
         {
             "agreeing": found.agreeing,
@@ -460,7 +461,7 @@ def _compared(
     assert new.pose is not None
     pose, uncertainty, carrier = new.pose, new.uncertainty, question.carrier
     if carrier is not None and carrier.is_seen:
-        # The motion that was removed is known no better.
+        # The motion that was removed is not known better than this.
         assert pose.covariance is not None
         pose = structs.replace(pose, covariance=pose.covariance + carrier.covariance)
         if uncertainty is not None:
@@ -471,16 +472,17 @@ def _compared(
 
 
 class _Doubt(NamedTuple):
-    """Why a movement that was found may be none, and whether the surfaces could see it at all."""
+    """Why a movement may not be real, and whether the surfaces could show it at all."""
 
     reason: Reason
     seen: bool
 
 
 def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt | None:
-    """Doubt a movement under which the surfaces fit no better; None if there is nothing to.
+    """Give the reason for doubt about a movement under which the surfaces fit no better; None
+    without doubt.
 
-    They could have seen it where one of the same size in the other direction makes them fit worse.
+    They could have shown it if one of the same size in the opposite direction makes them fit worse.
     """
     if answer.status != "moved" or answer.T_target_source is None or answer.step is None:
         return None
@@ -501,10 +503,12 @@ def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt 
 
 
 def _is_contradicted_by(found: NewPose, pose: PoseEstimate) -> bool:
-    """Whether the surfaces alone, from about the stored pose, conflict with a pose of the poles.
+    """Whether the surfaces alone, starting near the stored pose, conflict with a pose from the
+    poles.
 
-    Poles that were carried in the same way between the recordings draw the surfaces along, into a
-    minimum that is none without them. What the search alone would hold is no denial.
+    Poles that were moved together between the recordings pull the surfaces into a minimum that
+    does not exist without them. A direction constrained only by the range of the search is no
+    conflict.
     """
     if found.pose is None or found.is_uncertain:
         return False

@@ -1,22 +1,22 @@
-"""Whether two poses, both with a covariance, are one: the test behind ``retropole check``.
+"""Whether two poses, both with a covariance, are the same: the test of ``retropole check``.
 
 With ``d`` the step from the stored pose to the new one (`se3.local`) and ``S`` its covariance,
-``dᵀ S⁻¹ d`` is χ² with 6 degrees of freedom where nothing moved. What both poses have in common,
+``dᵀ S⁻¹ d`` is χ² with 6 degrees of freedom if nothing moved. What both poses have in common,
 such as a range offset of the tape or of single rings, cancels in ``d`` and mostly in ``S``
 (`step_covariance`).
 
-A test that could not have seen a movement gives no information by not seeing one. So *same* is
-answered only within a tolerance: by as much as it has not moved with a confidence of 95 %
+A test that could not have detected a movement gives no information if it detects none. So *same*
+is answered only within a tolerance: the upper limit of the movement with a confidence of 95 %
 (`upper_limit`).
 
-What scatter leaves in both poses is drawn anew and adds up. What the instruments err by is the same
-in both, and cancels in the step as far as both poses were found the same way: by poles at the same
-places, say. By poles at other positions, or by the scene alone, the same errors move the pose
-another way. How an error passes into each pose is not stored, only what all errors make together;
-but along a direction in which both are equally uncertain they were probably found in the same way,
-and one in which only the one is uncertain is nothing they can share. So with variances a and b
-along each of the directions in which both systematic parts are uncorrelated (their generalised
-eigenvectors), the step keeps
+The errors of both poses from scatter are independent and add up. The errors of the instruments are
+the same in both, and cancel in the step as far as both poses were found in the same way: by poles
+at the same positions, for example. With poles at other positions, or by the scene alone, the same
+errors have another effect on the pose. The effect of each error on each pose is not stored, only
+that of all errors together; but along a direction in which both are equally uncertain they were
+probably found in the same way, and an uncertainty of only one of them cannot be common to both. So
+with variances a and b along each of the directions in which both systematic parts are uncorrelated
+(their generalised eigenvectors), the step keeps
 
     a + b − 2 ρ √(a b),
 
@@ -43,8 +43,8 @@ from ..base.uncertainty.confirmation import Confirmation
 from .tolerance import NO_REQUEST, WIDEST_TOLERANCE, RequestedTolerance, Tolerance
 
 REPEATED = 0.9
-"""Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,
-warm-up and age change. With it and the floor, the 95 % quantile of χ² of unmoved simulated
+"""Correlation ρ of the errors of the same devices in two recordings: the rest is due to
+temperature, warm-up and age. With it and the floor, the 95 % quantile of χ² of unmoved simulated
 recordings is at most 5 with the poles where they were, 10 with poles at other positions and 8
 without (field and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the
 simulator's devices repeat all of their errors."""
@@ -53,7 +53,7 @@ simulator's devices repeat all of their errors."""
 def step_covariance(stored: Uncertainty, new: Uncertainty) -> Array:
     """(6, 6) of the step from the stored pose to the new one, over ``[φ, δ]``, rad and m.
 
-    A pose with no systematic part shares nothing: then all of both counts.
+    A pose without a systematic part has no common errors: then the whole of both is used.
     """
     return np.asarray(stored.random + new.random + kept(stored.systematic, new.systematic))
 
@@ -74,7 +74,7 @@ def kept(stored: Array, new: Array) -> Array:
 
 
 def in_parts(pose: PoseEstimate, uncertainty: Uncertainty | None) -> Uncertainty:
-    """Give the parts of a pose's covariance; where they are not known, all of it is random."""
+    """Give the parts of a pose's covariance; if they are not known, all of it is random."""
     assert pose.covariance is not None
     if uncertainty is not None:
         return uncertainty
@@ -82,11 +82,11 @@ def in_parts(pose: PoseEstimate, uncertainty: Uncertainty | None) -> Uncertainty
 
 
 FALSE_ALARM = 0.01
-"""How often the test may find a movement where there was none."""
+"""Probability of a false alarm of the test."""
 
 CONFIDENCE = 0.95
-"""With which it has moved by less than the tolerance before *same* is reported: of movements of the
-tolerance, at least this share is not answered by *same*."""
+"""Confidence that the movement is less than the tolerance, required for *same*: at least this
+share of movements of the size of the tolerance is not answered by *same*."""
 
 CONFIDENTLY = f"with {percent(CONFIDENCE)} confidence"
 
@@ -118,7 +118,7 @@ def least_certain(covariance: Array, part: slice) -> LeastCertain:
 
 
 def upper_limit(step: Array, covariance: Array, sigmas: float = ONE_SIDED) -> Tolerance:
-    """By how much it has moved at most: ``|d| + z σ`` of each part, σ in its worst direction.
+    """Upper limit of the movement: ``|d| + z σ`` of each part, σ in its worst direction.
 
     With ``z = Φ⁻¹(0.95)`` an upper limit with a confidence of 95 %: after a movement m of that
     size along the unit vector u, ``u · d`` is normal about ``|m|`` with a variance of ``λ_max``
@@ -162,14 +162,14 @@ def detection_power(covariance: Array, tolerance: Tolerance) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Weakness:
-    """What limits a check.
+    """The limits of a check.
 
     Attributes
     ----------
     stored, new
         Both poses' uncertainties.
     reported
-        By how much it has moved at most, with `CONFIDENCE`.
+        Upper limit of the movement, with `CONFIDENCE`.
     requested
         The tolerance requested, or the default.
     """
@@ -188,12 +188,13 @@ class Weakness:
         missing = " and ".join(words for is_missing, words in parts if is_missing)
         return self._reason(
             "too_weak",
-            f"no movement was found, but these data show only, {CONFIDENTLY}, that it moved by no "
-            f"more than {self.reported.in_words} ({missing} must be detectable): ",
+            f"no movement was found, but these data show only, {CONFIDENTLY}, that any movement "
+            f"is no more than {self.reported.in_words} ({missing} must be detectable): ",
         )
 
     def wider_tolerance(self) -> Reason:
-        """Report that *same* applies within more than the default, and why within no less."""
+        """Report that *same* applies within a wider tolerance than the default, and why not within
+        a narrower one."""
         return self._reason(
             "wider_tolerance",
             f"the same within {self.reported.in_words}, {CONFIDENTLY}; the default, "
@@ -201,14 +202,15 @@ class Weakness:
         )
 
     def _reason(self, code: Code, words: str) -> Reason:
-        """Say also where the step is least certain, which pose limits it, and what helps."""
+        """Add the direction in which the step is least certain, the pose that limits it, and
+        advice."""
         covariance, share = step_covariance(self.stored, self.new), self._stored_share()
         remedy = (
-            "the stored calibration is the weaker part: calibrate again, with the scene or with "
-            "more placements of the poles"
+            "the stored calibration is the less accurate part: calibrate again, with the scene "
+            "or with more placements of the poles"
             if share > 0.5
-            else "the new recordings are the weaker part: record more frames, set up the poles, or "
-            "put up something flat across that direction"
+            else "the new recordings are the less accurate part: record more frames, set up the "
+            "poles, or put up something flat across that direction"
         )
         return Reason(
             code,
@@ -229,7 +231,7 @@ class Weakness:
         What does not cancel is blamed on the poses by what they would have had alone.
         """
         reported, requested = self.reported, self.requested
-        # Whichever part is the farther beyond its tolerance.
+        # The part that exceeds its tolerance more.
         by_rotation = (
             reported.rotation / requested.rotation > reported.translation / requested.translation
         )
@@ -255,7 +257,7 @@ def directions_in_words(covariance: Array) -> str:
 
 
 BOUND_SIGMAS = 3.0
-"""A movement that was found is certainly below the tolerance where this many σ more would be."""
+"""A movement is certainly below the tolerance if it still is when increased by this many σ."""
 
 Status = Literal["same", "moved", "cannot_tell"]
 Method = Literal["poles", "scene"]
@@ -271,37 +273,37 @@ class Movement:
 
 @dataclass(frozen=True, eq=False)
 class CheckResult:
-    """Whether the source is still where it was, as seen by the target.
+    """Whether the source has moved relative to the target.
 
     Attributes
     ----------
     status
         ``same``, ``moved`` or ``cannot_tell``.
     reasons
-        Why it is undecided, and what prevented a better answer.
+        Why it is undecided, and the causes that prevented a better answer.
     used
-        What the new pose was found by: ``poles`` (and the scene), ``scene`` alone, or None.
+        Data used for the new pose: ``poles`` (and the scene), ``scene`` alone, or None.
     T_target_source
-        (4, 4) the new pose; None if there is none to believe.
+        (4, 4) the new pose; None if none is reliable.
     step
         (6,) ``[φ, δ]`` from the stored pose to the new one, rad and m, target axes; δ is the
         translation of the source's origin.
     covariance
-        (6, 6) of the step: what of both poses' errors does not cancel.
+        (6, 6) of the step: the part of both poses' errors that does not cancel.
     random
-        (6, 6) of that what each new check draws anew; the rest is the same in all checks that find
-        the pose the same way.
+        (6, 6) the part of that which is independent in each new check; the rest is the same in all
+        checks that use the same method.
     chi2, p_value
-        The test, and how often chance alone makes this much where nothing moved.
+        The test, and the probability of at least this value if nothing moved.
     power
         Probability that a movement of the tolerance requested, or else of the default, would have
         been found, in the worst direction.
     tolerance
-        If nothing moved: the least that these data confirm, no less than what was requested. By
-        more it has not moved, with `CONFIDENCE`. Of *same*, the bound that it is reported within.
-        None if another reason speaks against any.
+        If nothing moved: the smallest tolerance that these data confirm, no less than the
+        requested one. The movement is not larger, with `CONFIDENCE`. For *same*, the reported
+        bound. None if another reason prevents it.
     confirmation
-        What the new recordings show about the stored pose; None if there are none.
+        The scene check of the stored pose by the new recordings; None if there are none.
     """
 
     status: Status
@@ -328,7 +330,7 @@ class CheckResult:
         return self._part(TRANSLATION)
 
     def withdrawn(self, *more: Reason) -> CheckResult:
-        """The same answer, taken back: for some reason nothing is to be confirmed by it."""
+        """The same answer, withdrawn: for some reason it must not confirm anything."""
         reasons = *self.reasons, *more
         return replace(self, status="cannot_tell", reasons=reasons, tolerance=None)
 
@@ -347,21 +349,21 @@ def compare_poses(
     reasons: Sequence[Reason] = (),
     uncertainties: tuple[Uncertainty | None, Uncertainty | None] = (None, None),
 ) -> CheckResult:
-    """Test whether two poses are one.
+    """Test whether two poses are the same.
 
     Parameters
     ----------
     stored, new
         The poses, both with a covariance.
     used
-        What the new one was found by.
+        Data used for the new one.
     requested
-        The movement that matters, or as small a one as these data can resolve.
+        The movement that matters, or the smallest that these data can resolve.
     reasons
         Further reasons to report.
     uncertainties
-        Both covariances in their two kinds, where the same devices were used: their systematic
-        parts mostly cancel. None, as of a pose that something else found, cancels nothing.
+        The two parts of both covariances, if the same devices were used: their systematic
+        parts mostly cancel. With None, as for a pose from another source, nothing cancels.
     """
     parts = in_parts(stored, uncertainties[0]), in_parts(new, uncertainties[1])
     step = se3.local(stored.T_target_source, new.T_target_source)
@@ -374,7 +376,7 @@ def compare_poses(
     reported: Tolerance | None = None
     least, widest = requested.least, requested.widest
     if used == "scene":
-        # Beyond, the search about the stored pose would confirm itself.
+        # Beyond, the prior about the stored pose would confirm itself.
         least, widest = (each.or_narrower(WIDEST_TOLERANCE) for each in (least, widest))
     limit = upper_limit(step, covariance)
     if status == "same":
@@ -385,13 +387,13 @@ def compare_poses(
         elif reported != requested.least:
             listed.append(Weakness(*parts, reported, requested.least).wider_tolerance())
     elif upper_limit(step, covariance, BOUND_SIGMAS).is_within(least):
-        # Real LiDARs drift by more than their noise: an alarm each night would be switched off.
+        # Real LiDARs drift by more than their noise: an alarm every night would be ignored.
         status, reported = "same", requested.least
         message = "it moved, but certainly by less than the tolerance"
         listed.append(Reason("within_tolerance", message, {}))
     elif power < MIN_POWER:
         words = directions_in_words(covariance)
-        message = f"that it moved is certain, but not by how much: {words}"
+        message = f"it is certain that it moved, but not by how much: {words}"
         listed.append(Reason("size_unsure", message, {}))
     T, random = new.T_target_source, parts[1].random
     return CheckResult(

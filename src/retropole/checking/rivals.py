@@ -112,7 +112,8 @@ def register_clouds(
     if not converged:
         raise Refusal(
             "not_converged",
-            f"{method} still moves after {max_iterations} iterations; it needs a better start",
+            f"{method} still moves after {max_iterations} iterations; it needs a better initial "
+            "pose",
             {"iterations": max_iterations},
         )
     T = max(converged, key=attrgetter("inliers")).T_target_source
@@ -123,9 +124,9 @@ def register_clouds(
     if len(near) < MIN_CLOUD_POINTS:
         raise Refusal(
             "no_overlap",
-            f"{len(near)} of {len(aligned)} points end within {RESIDUAL_DISTANCE:g} m of the other "
-            f"cloud, {MIN_CLOUD_POINTS} are needed; {method} needs a better start or clouds that "
-            "overlap",
+            f"{len(near)} of {len(aligned)} points end within {RESIDUAL_DISTANCE:g} m of the "
+            f"other cloud, {MIN_CLOUD_POINTS} are needed; {method} needs a better initial pose, "
+            "or clouds that overlap",
             {"points": len(near), "needed": MIN_CLOUD_POINTS},
         )
     return PoseEstimate(T, None, float(np.sqrt(np.mean(near**2))))
@@ -260,7 +261,8 @@ def kiss_matcher(
         raise Refusal(
             "unmatched",
             f"KISS-Matcher ends with {best.support:g} correspondences that agree, {MIN_INLIERS} "
-            "are needed; record a scene with more in it, or where the LiDARs see more of the same",
+            "are needed; record a scene with more objects, or where the LiDARs see more common "
+            "objects",
             {"inliers": best.support, "needed": MIN_INLIERS},
         )
     return register_clouds(target, source, [best.start])
@@ -370,7 +372,8 @@ def fpfh_ransac(
         raise Refusal(
             "unmatched",
             f"{100 * fit:.0f} % of the points agree with the best match of features, "
-            f"{100 * MIN_FITNESS:.0f} % are needed; record where the LiDARs see more of the same",
+            f"{100 * MIN_FITNESS:.0f} % are needed; record where the LiDARs see more common "
+            "objects",
             {"fitness": fit, "needed": MIN_FITNESS},
         )
     return register_clouds(target, source, starts)
@@ -408,7 +411,7 @@ def _featured(open3d: Any, cloud: PointCloud, voxel: float) -> tuple[Any, Any]:
             "too_few_points",
             f"{counted(len(points), 'point is', 'points are')} left of a cloud downsampled to "
             f"{voxel:g} m, "
-            f"{MIN_CLOUD_POINTS} are needed; record a scene with more in it",
+            f"{MIN_CLOUD_POINTS} are needed; record a scene with more objects",
             {"points": len(points), "needed": MIN_CLOUD_POINTS},
         )
     made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))

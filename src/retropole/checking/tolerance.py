@@ -16,11 +16,11 @@ class Tolerance:
     translation: float
 
     def or_wider(self, other: Tolerance) -> Tolerance:
-        """Take the wider of both in each part."""
+        """Give the wider of both in each part."""
         return Tolerance(*map(max, astuple(self), astuple(other)))
 
     def or_narrower(self, other: Tolerance) -> Tolerance:
-        """Take the narrower of both in each part."""
+        """Give the narrower of both in each part."""
         return Tolerance(*map(min, astuple(self), astuple(other)))
 
     def is_within(self, other: Tolerance) -> bool:

@@ -15,7 +15,7 @@ import click
 
 from ..base.errors import Refusal, RetropoleError
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_PIPE, Group, never_fail_to_encode, say
-from .errors import asks_for_json, failure_of, tell
+from .errors import asks_for_json, failure_of, report_failure
 
 GROUPS = {
     "Calibrate": ("calibrate", "watch", "site", "fleet"),
@@ -93,7 +93,7 @@ def run(words: Sequence[str] | None = None) -> int:
 
             set_older_aside(command, args)
         refused = isinstance(error, Refusal)
-        return tell(failure_of(error, name), refused=refused, as_json=asks_for_json(args))
+        return report_failure(failure_of(error, name), refused=refused, as_json=asks_for_json(args))
     except SystemExit as error:
         # click and rich raise it when the reader of a pipe has gone; here 1 has another meaning.
         if error.code == 1:

@@ -34,7 +34,9 @@ from .out import out_folder
 @run_options("map", "prior_xyz", "prior_sigma_m")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
-@more_option("--plan", type=CLOUD, help="Plan of the poles: compare where they were with it.")
+@more_option(
+    "--plan", type=CLOUD, help="Plan of the poles, with which their positions are compared."
+)
 @LEVEL
 @verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(
@@ -82,7 +84,7 @@ def calibrate(
     from ..api.calibration import calibrate_with
 
     if options["carried"] and plan is not None:
-        raise click.UsageError("--plan is of standing poles, --carried of one that moves")
+        raise click.UsageError("--plan is for fixed poles, --carried for one that moves")
     # A plan that cannot be read is reported before the work.
     wanted = None
     if plan is not None:
@@ -90,7 +92,7 @@ def calibrate(
 
         wanted = load_plan(plan, of_pair=True)
     if options["at_m"] is not None and options["need_m"] is None:
-        raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
+        raise click.UsageError("--at-m is the distance up to which --need-cm must hold: give both")
     targets, sources = placed(target, source, placements)
     config = RunConfig(**options)
     # Of a walk every sweep is searched, whatever the page shows.
@@ -116,7 +118,7 @@ def calibrate(
 def placed(
     target: Path | None, source: Path | None, placements: Sequence[tuple[Path, Path]]
 ) -> tuple[list[Path], list[Path]]:
-    """Take the two arguments, or those of each --placement, never both: targets and sources."""
+    """Use the two arguments, or those of each --placement, never both: targets and sources."""
     if placements and target is not None:
         raise click.UsageError("give TARGET and SOURCE, or --placement for each, not both")
     if not placements:
@@ -161,7 +163,7 @@ def site_calibrate(
     """
     from ..api.calibration import calibrate_site
 
-    requested = "as the site file says"
+    requested = "as in the site file"
     with listening(quiet, requested, BY_SITE_FILE) as listener:
         result = calibrate_site(site_file, **listener._asdict())
         listener.progress("report")

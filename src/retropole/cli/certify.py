@@ -111,4 +111,4 @@ def _refuse_options() -> None:
         and context.get_parameter_source(param.name or "") is ParameterSource.COMMANDLINE
     ]
     if given:
-        raise click.UsageError(f"{', '.join(given)}: the site file says so itself")
+        raise click.UsageError(f"{', '.join(given)}: the site file already gives it")

@@ -45,7 +45,7 @@ def tolerance_options(command: Command) -> Command:
         "--tolerance-deg",
         "rotation",
         type=DEGREES,
-        help="Smallest rotation that must be found: where it could be missed, the answer is not "
+        help="Smallest rotation that must be detected: if it could be missed, the answer is not "
         "'same'.  "
         f"[default: {math.degrees(default.rotation):g}, {more} {math.degrees(widest.rotation):g}]",
     )
@@ -53,7 +53,7 @@ def tolerance_options(command: Command) -> Command:
         "--tolerance-m",
         "translation",
         type=METRES,
-        help="The same of a translation.  "
+        help="The same for the translation.  "
         f"[default: {default.translation:g}, {more} {widest.translation:g}]",
     )
     return rotation(translation(command))
@@ -65,18 +65,18 @@ def tolerance_options(command: Command) -> Command:
 @click.argument("source", type=CLOUD)
 @run_option(
     PAIRS["topic"],
-    help=f"{OPTIONS['target_topic'].help}  [default: that of RESULT, where it is a bag]",
+    help=f"{OPTIONS['target_topic'].help}  [default: that of RESULT, if it is a bag]",
 )
 @run_option(
     PAIRS["unit"], help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
 )
 @run_option(
     PAIRS["intensity"],
-    help="Field of the new recordings' intensity.  [default: that of RESULT, where they have it]",
+    help="Field of the new recordings' intensity.  [default: that of RESULT, if they have it]",
 )
 @run_option(PAIRS["angles"], help=f"{OPTIONS['angles'].help}  [default: that of RESULT]")
-@click.option("--parent", help="Where RESULT is of a site: the name of the LiDAR of TARGET.")
-@click.option("--child", help="The same of SOURCE.")
+@click.option("--parent", help="If RESULT is of a site: the name of the LiDAR of TARGET.")
+@click.option("--child", help="The same for SOURCE.")
 @tolerance_options
 @click.option(
     "--sigma-deg",
@@ -130,9 +130,9 @@ def check(
     from ..base.errors import Refusal
 
     if (sigma_rotation is None) != (sigma_translation is None):
-        raise click.UsageError("--sigma-deg and --sigma-m belong together")
+        raise click.UsageError("--sigma-deg and --sigma-m must be given together")
     if (parent is None) != (child is None):
-        raise click.UsageError("--parent and --child belong together")
+        raise click.UsageError("--parent and --child must be given together")
     lidars = None if parent is None or child is None else (parent, child)
     sigma = (sigma_rotation, sigma_translation) if sigma_rotation and sigma_translation else None
     with listening(quiet, None, hidden=as_json) as listener:
@@ -218,9 +218,9 @@ def in_words(answer: CheckResult) -> str:
             f"{_direction(answer.step[:3], rotation, 'about', (' (roll)', ' (pitch)', ' (yaw)'))}",
             f"  translated by {value_and_error(translation.length, translation.sigma)} (1 σ), "
             f"{_direction(answer.step[3:], translation, 'along', ('', '', ''))}",
-            "  (the source against the target; which of them moved, two LiDARs cannot tell)",
-            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; if nothing moved, as large in "
-            f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
+            "  (the source relative to the target; two LiDARs do not show which of them moved)",
+            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; if nothing moved, as large with "
+            f"probability {answer.p_value:.2g} (reported as moved below {FALSE_ALARM:g})",
             f"  found by {how}",
         ]
     if answer.confirmation is not None:
@@ -258,7 +258,7 @@ def site_check(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Say which LiDARs of a site have moved since RESULT was made.
+    """Find which LiDARs of a site have moved since RESULT was computed.
 
     RESULT is site-result.json, or its folder. SITE.toml is the site file of new
     recordings, or its folder; 'retropole site init' writes one. One placement is
@@ -312,7 +312,7 @@ def site_in_words(answer: SiteCheck) -> str:
     if answer.moved:
         text.append(f"moved: {', '.join(answer.moved)}; the others have not moved")
     elif answer.status == "moved":
-        text.append("these pairs do not show which LiDAR of a moved pair it was")
+        text.append("these pairs do not show which LiDAR of a moved pair has moved")
     if answer.untold:
         text.append(f"undecided whether moved: {', '.join(answer.untold)}")
     lines += [part for words in text for part in wrapped(f"  {printable(words)}", "    ")]

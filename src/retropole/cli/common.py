@@ -113,7 +113,7 @@ def in_colour(words: str, status: str) -> str:
 
 
 def say(line: str) -> None:
-    """Say something on stderr as one line; who cannot hear it gets the exit code all the same."""
+    """Print a line on stderr; without stderr the exit code is still given."""
     with suppress(OSError):
         click.echo(printable(line), err=True)
 
@@ -139,7 +139,7 @@ def listening(
     units: bool = True,
     hidden: bool = False,
 ) -> Iterator[Listener]:
-    """Say on stderr how a run goes on, and of each cloud that is read what was left out and is odd.
+    """Print on stderr the progress of a run, and for each cloud what was left out or is odd.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def listening(
     """
     from ..api.inputs import Listener
 
-    def tell(given: Input) -> None:
+    def report_notes(given: Input) -> None:
         if quiet:
             return
         for line in _left_out(given, frames is not None, advice):
@@ -170,17 +170,17 @@ def listening(
             say(f"retropole: {given.sensor_doubt}")
 
     with progress_on_terminal(quiet or hidden) as progress:
-        yield Listener(progress, tell)
+        yield Listener(progress, report_notes)
 
 
 def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
-    """Say what of a recording is damaged, and what was left out without being requested."""
+    """Report damaged parts of a recording, and what was left out without being requested."""
     read, cloud = given.read, given.cloud
     yield from cloud.notes
     if read is not None and read.left_out:
         yield (
             f"read {len(read.numbers)} of {len(read.requested)} frames, one in "
-            f"{read.numbers.step // read.requested.step}, since all have too many points; "
+            f"{read.numbers.step // read.requested.step}, since all together have too many points; "
             f"{advice.to_keep} reads more"
         )
     elif read is not None and not asked and not read.is_whole:
@@ -196,7 +196,7 @@ def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
 
 
 def echo_refusal(code: str, message: str) -> None:
-    """Say on stderr why there is no answer, and what to do about it."""
+    """Print on stderr why there is no answer, with advice."""
     say(f"retropole: refused ({code}): {message}")
     explanation = explain(code)
     lead = "what to do: "
@@ -208,7 +208,7 @@ def echo_refusal(code: str, message: str) -> None:
 
 
 def echo_warning(code: str, message: str) -> None:
-    """Say on stderr what an answer warns of."""
+    """Print on stderr the warnings of an answer."""
     say(f"retropole: warning ({code}): {message}")
 
 

@@ -24,8 +24,8 @@ PICTURE = "detect.svg"
 @run_option("target_topic", "--topic")
 @run_options("frames", "max_points", "unit", "intensity", "angles")
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
-@more_option("--plan", type=CLOUD, help="Plan of the poles: say which is out of place.")
-@more_option("--lidar", help="Its name in the plan.  [default: the one that fits]")
+@more_option("--plan", type=CLOUD, help="Plan of the poles: report which are out of place.")
+@more_option("--lidar", help="Name of the LiDAR in the plan.  [default: the one that fits]")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def detect(
@@ -76,7 +76,7 @@ def detect(
         # A plan that cannot be read is reported before the work.
         wanted = load_plan(plan, [] if lidar is None else [lidar])
     elif lidar is not None:
-        raise click.UsageError("--lidar is a name of the plan: give --plan, too")
+        raise click.UsageError("--lidar is a name in the plan: give --plan, too")
     config = RunConfig(**options)
     with listening(quiet, config.frames) as listener:
         listener.progress("read")

@@ -29,7 +29,7 @@ TO_LOOK_AT = {
         "docs/check.md",
     ),
     "retropole fleet calibrate": (
-        "check SITES and the dataset; what is wrong with one recording is in its row",
+        "check SITES and the dataset; errors of a single recording are in its row",
         "docs/fleet.md",
     ),
     "retropole fleet report": (
@@ -67,7 +67,7 @@ class Failure(NamedTuple):
 
 
 def failure_of(error: Exception, command: str) -> Failure:
-    """Say in words what an error means, and what to do about it.
+    """Describe an error, with advice.
 
     Parameters
     ----------
@@ -108,15 +108,15 @@ def failure_of(error: Exception, command: str) -> Failure:
             unnamed = error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO)
             place = error.filename or ("standard output" if unnamed else "")
             words = quoting(f"{place}: {error.strerror}" if place else str(error))
-            check = "check that it exists and may be read or written, and that there is room"
+            check = "check that it exists and may be read or written, and that the disk is not full"
             if isinstance(error, BlockingIOError) and error.filename:
-                check = "wait until that run is over, or name another folder with --out"
+                check = "wait until that run has ended, or name another folder with --out"
             return Failure("system", words, (check,))
     raise error
 
 
-def tell(failure: Failure, *, refused: bool, as_json: bool) -> int:
-    """Say it on stderr, with --json on stdout too, and give the exit code."""
+def report_failure(failure: Failure, *, refused: bool, as_json: bool) -> int:
+    """Print it on stderr, with --json on stdout too, and give the exit code."""
     if refused:
         echo_refusal(failure.code, failure.message)
     else:

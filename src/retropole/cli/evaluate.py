@@ -34,12 +34,12 @@ TITLES = OURS | {
 
 
 def _names(context: click.Context, option: click.Parameter, value: str | None) -> list[str]:
-    """Take the names of methods between commas."""
+    """Parse the names of methods between commas."""
     names = [] if value is None else [name.strip() for name in value.split(",")]
     for name in names:
         if name not in ALL_METHODS:
             raise click.BadParameter(
-                f"no method is called {name!r}; there are {', '.join(ALL_METHODS)}"
+                f"no method is named {name!r}; there are {', '.join(ALL_METHODS)}"
             )
     return names
 
@@ -60,14 +60,19 @@ def _names(context: click.Context, option: click.Parameter, value: str | None) -
     f"{', '.join(ALL_METHODS)}.",
 )
 @click.option(
-    "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
+    "--truth",
+    type=TRANSFORM,
+    help="The true transform, in any of these formats, to compute the error.",
 )
 @more_option("--parent", help="If --transform is of a site: the name of the LiDAR of TARGET.")
-@more_option("--child", help="The same of SOURCE.")
+@more_option("--child", help="The same for SOURCE.")
 @more_option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", *READING)
 @more_option(
-    "--seed", type=SEED, default=0, help="Of what methods draw, and of the points scored on."
+    "--seed",
+    type=SEED,
+    default=0,
+    help="Seed of random draws by methods, and of the points scored.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
@@ -122,7 +127,9 @@ def evaluate(
     if (transform is None) == (not methods):
         raise click.UsageError("give either --transform or --methods")
     if methods and not (parent is None and child is None):
-        raise click.UsageError("--parent and --child say which transform of a site; give it too")
+        raise click.UsageError(
+            "--parent and --child select a transform of a site; give --transform too"
+        )
     from ..api.evaluation import compare, errors_of
     from ..api.evaluation import evaluate as score
     from ..api.transforms import read_transform
@@ -184,7 +191,7 @@ fill_in(evaluate, "METHODS", TITLES, width=max(map(len, ALL_METHODS)))
 
 
 def _exit_code(found: Sequence[Compared], *, as_json: bool) -> int:
-    """Say on stderr which methods did not run, or refused, and give the exit code."""
+    """Print on stderr which methods did not run, or refused, and give the exit code."""
     for each in found:
         if each.status == "refused" and as_json:
             say(f"retropole: {each.method}: refused ({each.codes[0]}): {each.message}")

@@ -46,16 +46,16 @@ TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
 @click.option(
     "--mounting",
     type=FILE,
-    help="Where the target's LiDAR is mounted: a transform base_link -> target, in any format that "
-    "is read. Written is base_link -> source.",
+    help="Where the target's LiDAR is mounted: a transform base_link -> target, in any format "
+    "that is read. The output is base_link -> source.",
 )
-@click.option("--invert", is_flag=True, help="Write the inverse: parent and child change places.")
+@click.option("--invert", is_flag=True, help="Write the inverse: parent and child are exchanged.")
 @click.option(
     "--into",
     type=FILE,
-    help="URDF to put the pose into: the joint that leads to the source's link is written, from "
-    "the link where it starts. All else in the file stays; --out writes the outcome "
-    "to another file. Needs the extra 'urdf'.",
+    help="URDF to write the pose into: the joint that leads to the source's link is written, "
+    "from its parent link. The rest of the file stays unchanged; --out writes to "
+    "another file. Needs the extra 'urdf'.",
 )
 def export(
     result: Path,
@@ -115,13 +115,13 @@ def export(
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
     if into is not None and fmt not in (None, "urdf"):
-        raise click.UsageError(f"--into takes a joint, --to urdf, not --to {fmt}")
+        raise click.UsageError(f"--into writes a joint, --to urdf, not --to {fmt}")
     if clouds and fmt != MCAP:
         raise click.UsageError(f"only --to {MCAP} takes clouds")
     if fmt == MCAP and out is None:
-        raise click.UsageError(f"--to {MCAP} needs --out: it is nothing to print")
+        raise click.UsageError(f"--to {MCAP} needs --out: it cannot be printed")
     if mounting is not None and (into is not None or fmt == MCAP):
-        why = f"--to {MCAP} has the LiDARs alone" if into is None else "the robot holds it"
+        why = f"--to {MCAP} has only the LiDARs" if into is None else "the robot holds it"
         raise click.UsageError(f"--mounting does not apply: {why}")
     base = None if mounting is None else transforms.read_mounting(mounting, parent)
     parent = base.child if base else parent
@@ -186,7 +186,7 @@ def _write(words: str | bytes, out: Path | None) -> None:
 
 
 def _warn(path: Path) -> None:
-    """Say on stderr what a result warns of; other files hold no verdict."""
+    """Print on stderr the warnings of a result; other files have no verdict."""
     for reason in transforms.read_verdict(path):
         echo_warning(reason.code, reason.message)
 
@@ -196,9 +196,9 @@ def _note(words: str) -> None:
 
 
 def _report_origin(given: Input) -> None:
-    """Say on stderr where the beams of a cloud start if that is not its origin."""
+    """Print on stderr the beam origin of a cloud if it is not the origin."""
     if given.cloud.origin.any():
         _note(
             f"{given.name}: its beams start at {given.cloud.origin.tolist()}, which a PointCloud2 "
-            "does not say: look at the copy, and calibrate from the original"
+            "cannot store: use the copy for viewing only, and calibrate from the original"
         )

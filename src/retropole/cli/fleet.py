@@ -136,13 +136,13 @@ def calibrate(
 @click.option(
     "--reports",
     metavar="DIR",
-    help="Folder or URL to which 'fleet calibrate --reports' wrote: the page links there.",
+    help="Folder or URL to which 'fleet calibrate --reports' wrote; the page links to it.",
 )
 @click.option(
     "--history",
     metavar="DIR",
-    help="Folder or URL of the history of 'fleet check': what changed comes first.  [default: "
-    "history in DATASET, where there is one]",
+    help="Folder or URL of the history of 'fleet check': changes are listed first. "
+    "[default: history in DATASET, if there is one]",
 )
 @protocol_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -180,7 +180,7 @@ def report(dataset: str, out: str, reports: str | None, history: str | None, qui
 
 
 def _in_words(summary: FleetSummary, *written: str) -> str:
-    """Say the outcome of a fleet: counts, the commonest codes, where it is."""
+    """Report the outcome of a fleet: counts, the most frequent codes, the place of the dataset."""
     from ..base.errors import printable
     from ..base.quantities import counted
 
@@ -191,7 +191,7 @@ def _in_words(summary: FleetSummary, *written: str) -> str:
     for code, count in sorted(summary.codes.items(), key=lambda each: (-each[1], each[0])):
         lines.append(f"  {count:6d}  {code}")
     if summary.statuses.get("error"):
-        lines.append("errors are tried again with --retry, or once their files are others")
+        lines.append("errors are tried again with --retry, or when their files have changed")
     if summary.others:
         others = counted(summary.others, "site")
         lines.append(f"in the dataset, and its report, besides: {others} not in SITES")

@@ -27,13 +27,12 @@ def cluster_options(command: Command) -> Command:
     scheduler = click.option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Address of a Dask cluster: tls://host:8786, or tcp:// in a network of your own.",
+        help="Address of a Dask cluster: tls://host:8786, or tcp:// in a private network.",
     )
     workers = click.option(
         "--workers",
         type=Whole(1, 1024),
-        help="Number of local processes, where there is no --scheduler.  "
-        "[default: one per processor]",
+        help="Number of local processes, without --scheduler.  [default: one per processor]",
     )
     kind = Number(min=1, max=1e6)
     time_limit = more_option(
@@ -56,8 +55,8 @@ def protocol_option(command: Command) -> Command:
         expose_value=False,
         callback=follow,
         metavar="NAME",
-        help="Follow URLs of this protocol of fsspec too, as ftp, wherever they are named: in "
-        "SITES as well.  [always: s3, gs, abfs, memory]",
+        help="Follow URLs of this protocol of fsspec too, as ftp, wherever they appear, also "
+        "in SITES.  [always: s3, gs, abfs, memory]",
     )(command)
 
 
@@ -73,12 +72,12 @@ def check_cluster(scheduler: str | None, workers: int | None) -> None:
     "--history",
     required=True,
     metavar="DIR",
-    help="Folder or URL of the history (Parquet), which is appended to; made where there is none.",
+    help="Folder or URL of the history (Parquet), which is extended, or created if there is none.",
 )
 @click.option(
     "--answers",
     metavar="DATASET",
-    help="Of 'retropole fleet calibrate': holds the stored results, by the ids of the sites.",
+    help="Dataset of 'retropole fleet calibrate' with the stored results, by the ids of the sites.",
 )
 @cluster_options
 @protocol_option
@@ -207,7 +206,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
         text = [site.words(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
-            text.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will decide")
+            text.append(f"off since {since:%Y-%m-%d}, not confirmed yet: another check decides")
         if not site.is_decided:
             text.append(_undecided(site.newest))
         if text:

@@ -78,14 +78,14 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
         progress("read")
         network = find_network(dataset, read_nodes(nodes))
         found = adjust_network(network.graph, progress)
-        if found.settled:
+        if found.converged:
             progress("write")
             write_network(out, network, found)
     if as_json:
         show(json_line(network, found, out))
     elif not quiet:
         show(in_words(network, found, out))
-    if not found.settled:
+    if not found.converged:
         return EXIT_REFUSED
     return 0 if found.used.all() else EXIT_MOVED
 
@@ -142,8 +142,8 @@ def json_line(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     return json_text(
         {
             "schema": SCHEMA,
-            "out": out if found.settled else None,
-            "settled": found.settled,
+            "out": out if found.converged else None,
+            "settled": found.converged,
             "poses": len(network.nodes),
             "edges": edges,
             "control_points": len(network.graph.points),
@@ -178,11 +178,14 @@ def in_words(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     out_of = compress(range(len(found.used)), ~found.used)
     lines += [f"left out: {reason_of(network, found, k)}" for k in out_of]
     if doubtful := int(found.doubtful.sum()):
-        lines.append(f"{counted(doubtful, 'pose')} doubtful: tied by what may be wrong instead")
+        lines.append(
+            f"{counted(doubtful, 'pose')} doubtful: determined by other observations that may be "
+            "the wrong ones"
+        )
     kinds = Counter((one.kind, one.reason) for one in network.not_used)
     lines += [
         f"not used: {counted(count, kind)} ({reason})"
         for (kind, reason), count in sorted(kinds.items(), key=lambda each: (-each[1], each[0]))
     ]
-    end = f"written: {out}" if found.settled else "not converged: nothing is written"
+    end = f"written: {out}" if found.converged else "not converged: nothing is written"
     return "\n".join(printable(line) for line in [*lines, end])

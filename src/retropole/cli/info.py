@@ -14,7 +14,7 @@ from .options import CLOUD, FILE, Brief, run_option, run_options
 
 @click.command(cls=Brief)
 @click.argument("file", type=CLOUD)
-@run_option("target_topic", "--topic", help="Topic of a bag.  [default: all of point clouds]")
+@run_option("target_topic", "--topic", help="Topic of a bag.  [default: all with point clouds]")
 @run_options("frames", "unit", "intensity", "angles")
 @click.option("--page", type=FILE, help="Page to write: the cloud, with the threshold as a slider.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON, and only that.")

@@ -25,14 +25,17 @@ CROSSFALL = 0.025
 @click.option(
     "--disc-m",
     type=Number(min=1.0, max=100.0),
-    help="Radius of the disc of ground that the plane is for, m.  [default: 10, or what is seen]",
+    help="Radius of the disc of ground to which the plane is fitted, m.  [default: 10, or as far "
+    "as ground is seen]",
 )
 @click.option(
     "--base-link",
     metavar="X,Y,YAW_DEG",
     help="Where the LiDAR is on the vehicle, measured along the ground: m, m, deg.",
 )
-@click.option("--lidar", help="Which LiDAR --base-link is of.  [default: target, or the first]")
+@click.option(
+    "--lidar", help="The LiDAR that --base-link describes.  [default: target, or the first]"
+)
 @click.option(
     "--base-link-sigma",
     type=(Number(min=0.0, max=10.0), Number(min=0.0, max=90.0)),
@@ -89,7 +92,7 @@ def level(
         sigma, sigma_yaw = base_link_sigma
         base = BaseLink(x, y, math.radians(yaw), sigma, math.radians(sigma_yaw))
     elif lidar is not None:
-        raise click.UsageError("--lidar says which LiDAR --base-link is of: give both")
+        raise click.UsageError("--lidar is the LiDAR that --base-link describes: give both")
     with listening(quiet, None, BY_OPTIONS, units=False, hidden=as_json) as listener:
         document, _ = level_result(
             result, clouds, base=base, lidar=lidar, radius=disc_m, listener=listener
@@ -137,7 +140,7 @@ def _write(
 
 
 def describe(document: LevelDoc) -> str:
-    """Say in a table where the LiDARs are over the ground, and what ground it is."""
+    """List the poses of the LiDARs over the ground, and describe the ground."""
     from ..base.quantities import error
 
     width = max(5, *(len(lidar.name) for lidar in document.lidars))
@@ -150,12 +153,17 @@ def describe(document: LevelDoc) -> str:
         ]
         cells.append(f"{lidar.height_m:7.3f} ± {sigmas[2]:.3f} m")
         lines.append(f"{lidar.name:{width}}  " + "  ".join(f"{cell:>18}" for cell in cells))
-    about = "the foot of the LiDARs" if document.about_foot else "what is seen, to one side of them"
+    about = (
+        "the foot of the LiDARs"
+        if document.about_foot
+        else "the ground that is seen, to one side of them"
+    )
     lines += [
-        f"ground: {document.area_m2:.0f} m² seen of a disc of {document.disc_radius_m:.0f} m about "
-        f"{about}; its edge is {abs(1000 * document.bend_m):.0f} ± "
+        f"ground: {document.area_m2:.0f} m² seen of a disc of {document.disc_radius_m:.0f} m "
+        f"about {about}; its edge is {abs(1000 * document.bend_m):.0f} ± "
         f"{1000 * document.bend_sigma_m:.0f} mm {'lower' if document.bend_m > 0 else 'higher'} "
-        f"than its middle where it is bent most; roughness {error(document.roughness_m)}"
+        "than its middle in the direction of the largest bend; roughness "
+        f"{error(document.roughness_m)}"
     ]
     lines += [
         f"another level: {100 * other.height:+.0f} cm, {other.area:.0f} m²"
@@ -163,7 +171,7 @@ def describe(document: LevelDoc) -> str:
     ]
     if document.ceiling_m is not None:
         lines.append(
-            f"a plane {document.ceiling_m:.2f} m above is taken for a ceiling; of a LiDAR that "
+            f"a plane {document.ceiling_m:.2f} m above is treated as a ceiling; if the LiDAR "
             "is mounted upside down it is the ground"
         )
     for lidar in document.lidars:
@@ -171,8 +179,8 @@ def describe(document: LevelDoc) -> str:
             x, y, z = lidar.T_base_footprint_lidar[:3, 3]
             lines.append(f"{lidar.name} in base_footprint: {x:.3f} {y:.3f} {z:.3f} m")
     lines.append(
-        "The tilt is against the ground. Against the plumb line it is uncertain by that of the "
-        f"ground: the crossfall of a road, {100 * CROSSFALL:g} %, is "
+        "The tilt is relative to the ground. Relative to the vertical it is uncertain by the "
+        f"tilt of the ground: the crossfall of a road, {100 * CROSSFALL:g} %, is "
         f"{math.degrees(math.atan(CROSSFALL)):.1f}°."
     )
     return "\n".join(lines)

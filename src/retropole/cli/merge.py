@@ -37,7 +37,8 @@ def _box(context: click.Context, option: click.Parameter, value: str | None) -> 
     box = np.array(limits).reshape(-1, 2).T if len(limits) == 6 else np.zeros((2, 0))
     if box.shape != (2, 3) or not (box[0] < box[1]).all():
         raise click.BadParameter(
-            f"{value!r}: expected x0,x1,y0,y1,z0,z1 in metres, each first one less than the second"
+            f"{value!r}: expected x0,x1,y0,y1,z0,z1 in metres, the first of each pair less than "
+            "the second"
         )
     return box
 
@@ -47,7 +48,7 @@ def _named(context: click.Context, option: click.Parameter, given: tuple[str, ..
     pairs = [text.partition("=")[::2] for text in given]
     for text, (name, value) in zip(given, pairs, strict=True):
         if not (name and value) or sum(name == other for other, _ in pairs) > 1:
-            raise click.BadParameter(f"{text!r}: expected NAME=VALUE, each LiDAR once")
+            raise click.BadParameter(f"{text!r}: expected NAME=VALUE, once for each LiDAR")
     return dict(pairs)
 
 
@@ -81,7 +82,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     multiple=True,
     metavar="NAME=TOPIC",
     callback=_named,
-    help="Topic of a LiDAR, where it is another than in the calibration; repeat it for each.",
+    help="Topic of a LiDAR, if not that of the calibration; repeat it for each.",
 )
 @click.option(
     "--frame",
@@ -89,14 +90,14 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     show_default=False,
     help="Frame of the coordinates: target, source, the name of a LiDAR, site, map, or ground as "
     "'retropole level' found it.  [default: "
-    "target; of a site map in .las and .laz where it has one, else site]",
+    "target; for a site: map in .las and .laz if it has one, else site]",
 )
 @more_option(
     "--crs",
     "epsg",
     type=Whole(1024, 1_000_000),
     metavar="EPSG",
-    help="Projected system of the map, where it is another than that of the survey.",
+    help="Projected system of the map, if not that of the survey.",
 )
 @run_option(
     "frames", help="Frames of each recording to read, as Python slices: 0:20, ::10.  [default: all]"
@@ -108,11 +109,11 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     "--crop",
     metavar="X0,X1,Y0,Y1,Z0,Z1",
     callback=_box,
-    help="Keep what is in a box, m, in the coordinates that are written; empty is no limit.",
+    help="Keep only points in a box, m, in the coordinates of the output; empty is no limit.",
 )
-@click.option("--colour", type=click.Choice(COLOURS), help="What colours say.")
+@click.option("--colour", type=click.Choice(COLOURS), help="Meaning of the colours.")
 @click.option(
-    "--static", is_flag=True, help="Leave out what moved. The LiDARs must have been at rest."
+    "--static", is_flag=True, help="Leave out moving objects. The LiDARs must have been at rest."
 )
 @click.option(
     "--surfels",
@@ -120,8 +121,8 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     flag_value=0.3,
     type=METRES,
     metavar="[CELL]",
-    help="Make surfels in cells of this size, m (0.3), written as .ply, and report how far the "
-    "surfaces that two LiDARs see differ.",
+    help="Make surfels in cells of this size, m (0.3), written as .ply, and report the distances "
+    "between the surfaces that two LiDARs see.",
 )
 @click.option(
     "--live",
@@ -129,8 +130,8 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     multiple=True,
     metavar="NAME=SOURCE",
     callback=_named,
-    help="A LiDAR that records now, by its name in the result; repeat it for each. Sources are "
-    "those that 'retropole watch --help' lists. Clouds are published until Ctrl-C.",
+    help="A live LiDAR, by its name in the result; repeat it for each. Sources are "
+    "listed by 'retropole watch --help'. Clouds are published until Ctrl-C.",
 )
 @more_option(
     "--to-topic",
@@ -144,7 +145,7 @@ def _seconds(context: click.Context, option: click.Parameter, given: tuple[str, 
     metavar="NAME=SECONDS",
     callback=_seconds,
     help="With --live, how far the clock of a LiDAR is ahead of that of this computer; repeat it "
-    "for each.  [default: as its sweeps come, where that is a second or more]",
+    "for each.  [default: from the arrival of its sweeps, if that is a second or more]",
 )
 @more_option(
     "--no-check", is_flag=True, help="With --live, do not check every minute whether LiDARs moved."
@@ -199,7 +200,7 @@ def merge(
         if named or recordings or frames is not None or as_json or only:
             raise click.UsageError(
                 "--live takes --to-topic, -o, --frame, --voxel, --crop, --surfels, --clock, "
-                "--no-check, --domain and --interface alone"
+                "--no-check, --domain and --interface only"
             )
         wish = LiveWish(
             topic=to_topic or (None if out else MERGED),
@@ -212,7 +213,7 @@ def merge(
         )
         return merge_until_stopped(result, sources, wish, quiet)
     if to_topic or clocks or no_check or domain is not None or interface:
-        raise click.UsageError("--to-topic, --clock, --no-check and ROS 2 are of --live")
+        raise click.UsageError("--to-topic, --clock, --no-check and ROS 2 are for --live")
     from ..api.merging import merge as merge_all
 
     if named and recordings:
@@ -257,7 +258,7 @@ def merged_fields(merged: Merged, out: Path | None) -> dict[str, Any]:
 
 
 def in_words(merged: Merged) -> str:
-    """Say what was merged, and how far from each other surfaces lie."""
+    """Report what was merged, and the distances between surfaces."""
     from ..base.errors import printable
     from ..base.quantities import counted
     from ..report.text import wrapped
@@ -269,10 +270,10 @@ def in_words(merged: Merged) -> str:
     epsg = "" if merged.epsg is None else f" (EPSG:{merged.epsg})"
     lines = [f"read: {read}", f"frame: {merged.frame}{epsg}, metres"]
     if merged.moving:
-        lines.append(f"left out: {merged.moving:,} points on what moved")
+        lines.append(f"left out: {merged.moving:,} points on moving objects")
     if merged.surfels is None:
         lines.append(f"points written: {merged.written:,}")
     else:
         lines.append(f"surfels: {merged.written:,}")
-        lines += merged.surfaces or ["no surface is seen by two LiDARs"]
+        lines += merged.surfaces or ["two LiDARs have no surface in common"]
     return "\n".join(part for line in lines for part in wrapped(printable(line), "    "))

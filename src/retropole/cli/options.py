@@ -215,7 +215,9 @@ class Both(Option):
         older = [None if pair.target == pair.name else opts.get(pair.target), opts.get(pair.source)]
         if any(each is not None for each in older):
             if len(given) > 1 or (given and older[0] is not None):
-                raise click.UsageError(f"{self.opts[0]} is for TARGET and again for SOURCE", ctx)
+                raise click.UsageError(
+                    f"{self.opts[0]} can be given twice: for TARGET, then for SOURCE", ctx
+                )
             given = [given[0] if given else older[0], older[1]]
         if given and not ctx.resilient_parsing:
             ctx.set_parameter_source(pair.name, ParameterSource.COMMANDLINE)
@@ -232,7 +234,7 @@ def placement_arguments(command: Command) -> Command:
         type=(CLOUD, CLOUD),
         multiple=True,
         metavar="TARGET SOURCE",
-        help="Instead of TARGET and SOURCE: one placement of the poles of several; repeat it.",
+        help="Instead of TARGET and SOURCE: one of several placements of the poles; repeat it.",
     )
     target, source = (click.argument(n, type=CLOUD, required=False) for n in ("target", "source"))
     return target(source(placement(command)))
@@ -240,7 +242,7 @@ def placement_arguments(command: Command) -> Command:
 
 def verdict_options(more: str) -> Callable[[Command], Command]:
     """Give a command --strict, --json, --verbose, which prints more, and --quiet."""
-    strict = more_option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
+    strict = more_option("--strict", is_flag=True, help="Exit with 1 if the verdict is warn.")
     as_json = click.option(
         "--json", "as_json", is_flag=True, help="Print the result document, and only that."
     )

@@ -98,7 +98,7 @@ def _moved_in_words(moved: Sequence[Path]) -> str:
     there = [path for path in moved if path.exists()]
     kind = there[0].stem.removeprefix("older-").replace("-", " ") if there else ""
     now = " and ".join(printable(str(path)) for path in there)
-    return f"retropole: no {kind} of this run; the one before is now {now}" if there else ""
+    return f"retropole: no {kind} of this run; the previous one is now {now}" if there else ""
 
 
 def set_older_aside(command: click.Command, words: Sequence[str]) -> None:

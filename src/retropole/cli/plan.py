@@ -32,11 +32,9 @@ AREA: dict[str, Any] = {"type": (COORDINATE,) * 4, "multiple": True, "metavar": 
 @click.option(
     "--xyz", type=(COORDINATE,) * 3, metavar="X Y Z", help="SOURCE in TARGET's frame, to 1 m."
 )
+@click.option("--rpy-deg", type=(ANGLE,) * 3, metavar="R P Y", help="Its orientation, to 10°.")
 @click.option(
-    "--rpy-deg", type=(ANGLE,) * 3, metavar="R P Y", help="How it is turned there, to 10°."
-)
-@click.option(
-    "--pose", type=CLOUD, help="Instead: a file that export or a calibration wrote, or a URDF."
+    "--pose", type=CLOUD, help="Instead: a file written by export or a calibration, or a URDF."
 )
 @click.option(
     "--lidar",
@@ -58,7 +56,10 @@ AREA: dict[str, Any] = {"type": (COORDINATE,) * 4, "multiple": True, "metavar": 
     "--poles", type=Whole(FEWEST_POLES, MOST_POLES), default=2, help="Number of poles you have."
 )
 @click.option(
-    "--placements", type=Whole(1, MOST_PLACEMENTS), default=1, help="How often they are set up."
+    "--placements",
+    type=Whole(1, MOST_PLACEMENTS),
+    default=1,
+    help="Number of placements: how often the poles are set up.",
 )
 @more_option(
     "--length", type=Number(min=SHORTEST, max=LONGEST), default=2.0, help="Of the poles, m."
@@ -71,7 +72,7 @@ AREA: dict[str, Any] = {"type": (COORDINATE,) * 4, "multiple": True, "metavar": 
     **AREA,
     help="Rectangle where poles may be, in the plan's frame; repeat it.",
 )
-@click.option("--forbid", "forbidden", **AREA, help="Rectangle where they may not; repeat it.")
+@click.option("--forbid", "forbidden", **AREA, help="Rectangle where poles may not be; repeat it.")
 @run_options(PAIRS["sensor"], PAIRS["topic"], "frames", "max_points", *READING, more=True)
 @out_folder("Folder for the plan.", PLAN_FILE, PLAN_PAGE, default=Path("retropole-plan"))
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON, and only that.")
@@ -94,7 +95,7 @@ def plan(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Say where to set up the poles, before you drive out.
+    """Plan where to set up the poles, before you drive out.
 
     TARGET and SOURCE are recordings of the site without poles, as calibrate reads them. Give the
     pose of SOURCE, to 10° and 1 m, by --xyz and --rpy-deg, or by --pose FILE; without these it is
@@ -141,7 +142,8 @@ def plan(
         show(describe_plan(made.document))
         show_written(*written)
         show(
-            f"once the poles stand: {command_line('calibrate', 'TARGET', 'SOURCE', '--plan', out)}"
+            "when the poles are set up: "
+            f"{command_line('calibrate', 'TARGET', 'SOURCE', '--plan', out)}"
         )
     return 0
 
@@ -160,12 +162,14 @@ def _made(
     from ..api import planning
 
     if boxes and not lidars:
-        raise click.UsageError("--box draws what is there for --lidar; a recording shows it")
+        raise click.UsageError(
+            "--box describes an object for --lidar; recordings show their objects"
+        )
     if lidars:
         if target is not None or pose is not None:
-            raise click.UsageError("--lidar draws the LiDARs: give no recordings and no pose")
+            raise click.UsageError("--lidar describes the LiDARs: give no recordings and no pose")
         if len(lidars) < 2:
-            raise click.UsageError("--lidar: two LiDARs at least")
+            raise click.UsageError("--lidar: at least two LiDARs are needed")
         drawn = [
             (name, sensor, transform(place, angles))
             for name, sensor, *numbers in lidars
@@ -178,7 +182,7 @@ def _made(
         if target.suffix != ".toml" and not target.is_dir():
             raise click.UsageError("SOURCE is needed, unless TARGET is a site file (.toml)")
         if pose is not None and not isinstance(pose, Path):
-            raise click.UsageError("of a site --pose names an older result, --xyz is of a pair")
+            raise click.UsageError("for a site, --pose names an older result; --xyz is for a pair")
         return planning.plan_site(target, wish, pose, listener)
     return planning.plan_pair(target, source, wish, config, pose, listener)
 

@@ -19,7 +19,7 @@ from .out import locked_folder
 @click.option(
     "--out", type=FILE, help="File to write.  [default: report.html or site-report.html by RESULT]"
 )
-@click.option("--site", help="Where it was calibrated, for the certificate.")
+@click.option("--site", help="Place of the calibration, for the certificate.")
 @click.option(
     "--serial",
     "serials",
@@ -27,7 +27,7 @@ from .out import locked_folder
     nargs=2,
     metavar="LIDAR NUMBER",
     help="Serial number of a LiDAR, for the certificate, by its name in RESULT: target or source, "
-    "or that in the site; repeat it.",
+    "or its name in the site; repeat it.",
 )
 @click.option("--serial-target", hidden=True, help="As --serial target.")
 @click.option("--serial-source", hidden=True, help="As --serial source.")

@@ -18,7 +18,7 @@ SWEEPS = click.option(
     "frames",
     type=Whole(1, 200),
     default=1,
-    help="Sweeps of each LiDAR, 0.1 s each; a recording of several is a folder of them.",
+    help="Sweeps of each LiDAR, 0.1 s each; a recording of several sweeps is a folder.",
 )
 """How long each LiDAR records."""
 
@@ -26,13 +26,17 @@ SWEEPS = click.option(
 @click.command("site", cls=Brief)
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
 @out_folder("Folder for the recordings, site.toml and truth.json.", default=Path("retropole-site"))
-@click.option("--seed", type=SEED, default=0, help="Seed of all that is random.")
+@click.option("--seed", type=SEED, default=0, help="Seed of all random numbers.")
 @click.option("--lidars", type=Whole(2, 12), default=4, help="Number of LiDARs.")
 @click.option(
     "--placements", type=Whole(1, 8), help="Of the poles.  [default: 2; ring: one a LiDAR]"
 )
-@click.option("--poles", type=Whole(2, MAX_POLES), help="In each placement.  [default: 3; ring: 2]")
-@click.option("--sensor", "sensors", multiple=True, help="Sensor; several are taken in turn.")
+@click.option(
+    "--poles",
+    type=Whole(2, MAX_POLES),
+    help="Number of poles in each placement.  [default: 3; ring: 2]",
+)
+@click.option("--sensor", "sensors", multiple=True, help="Sensor; several are used in turn.")
 @run_options("radius_m")
 @SWEEPS
 @click.option(
@@ -103,12 +107,13 @@ class _OrSite(Brief, click.Group):
     "Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
     default=Path("retropole-simulated"),
 )
-@click.option("--seed", type=SEED, default=0, help="Seed of all that is random.")
+@click.option("--seed", type=SEED, default=0, help="Seed of all random numbers.")
 @run_option(PAIRS["sensor"], help="Name of the sensor.  [default: the scene's]")
 @click.option(
     "--poles",
     type=Whole(0, MAX_POLES),
-    help="In view of both; 0: the same place as with 2, before they are set up.  [default: 2]",
+    help="Number of poles in view of both; 0: the same place as with 2, without the poles.  "
+    "[default: 2]",
 )
 @run_options("radius_m")
 @click.option(
@@ -117,20 +122,20 @@ class _OrSite(Brief, click.Group):
 @click.option(
     "--lidars",
     type=Whole(2, 12),
-    help="Number of LiDARs with --carried; a third and more are of the second's model, and all are "
+    help="Number of LiDARs with --carried; further ones are of the second's model, and all are "
     "in site.toml.  [default: 2]",
 )
 @click.option(
     "--sweeps",
     "frames",
     type=Whole(1, 1200),
-    help="Of each LiDAR, 0.1 s each, up to 200 of standing poles; a recording of several is a "
-    "folder of them.  [default: 1, of a walk 400]",
+    help="Sweeps of each LiDAR, 0.1 s each, up to 200 for fixed poles; a recording of several "
+    "sweeps is a folder.  [default: 1, of a walk 400]",
 )
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
-    help="Errors of the LiDARs and of the site: all that a real one has, noise and range errors, "
+    help="Errors of the LiDARs and of the site: all those of real ones, noise and range errors, "
     "or none.  [default: typical; for paper the paper's noise]",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -166,9 +171,9 @@ def simulate(
     if (frames or 1) > most:
         raise click.UsageError(f"--sweeps is {frames}, {most} at most without --carried")
     if carried and poles is not None:
-        raise click.UsageError("--carried is with one pole, and without --poles")
+        raise click.UsageError("--carried is for one pole, without --poles")
     if lidars is not None and not carried:
-        raise click.UsageError("--lidars is with --carried; 'simulate site' is of standing poles")
+        raise click.UsageError("--lidars needs --carried; use 'simulate site' for fixed poles")
     from ..api.simulation import simulate as run
     from ..api.simulation import simulate_walk as run_walk
     from ..api.simulation import write_pair, write_walk

@@ -34,7 +34,7 @@ site.add_command(site_check)
 @site.command(cls=Brief)
 @click.argument("folder", type=CLOUD)
 @click.option("--out", type=FILE, help="The site file to write.  [default: site.toml in FOLDER]")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
     """Write a site file from the recordings in FOLDER.
@@ -61,7 +61,7 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
 
     path = folder / NAME if out is None else out
     if path.exists() and not force:
-        raise UsageError(f"{path}: is there already; --force replaces it, --out names another")
+        raise UsageError(f"{path} exists already; --force replaces it, --out names another")
     draft = draft_site(folder, path)
     write_atomically(path, draft.text.encode())
     if not quiet:

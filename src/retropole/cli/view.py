@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
 @run_option(
-    "threshold_target", "--threshold", help="Where the sliders start.  [default: as in detect]"
+    "threshold_target", "--threshold", help="Initial value of the sliders.  [default: as in detect]"
 )
 @run_option("target_topic", "--topic")
 @run_options("frames", "unit", "intensity", "angles")
@@ -73,7 +73,7 @@ def view(files: tuple[Path, ...], out: Path | None, quiet: bool, **options: Any)
     if not quiet:
         show_written(out)
     if not webbrowser.open(out.resolve().as_uri()):
-        say("retropole: no browser was found: open the page in one")
+        say("retropole: no browser was found: open the page in a browser")
     return 0
 
 

@@ -74,11 +74,12 @@ class Stopped(Event):
 @run_options("need_m", "at_m", *WANTED)
 @run_options("carried")
 @more_option(
-    "--sweeps", type=Whole(3, 100), default=15, help="Sweeps of each LiDAR kept of a placement."
+    "--sweeps",
+    type=Whole(3, 100),
+    default=15,
+    help="Number of sweeps of each LiDAR kept for a placement.",
 )
-@click.option(
-    "--plan", type=CLOUD, help="Plan of where each pole should be, with LiDARs named by --name."
-)
+@click.option("--plan", type=CLOUD, help="Plan of the poles, with LiDARs named by --name.")
 @more_option(
     "--name",
     "names",
@@ -87,7 +88,10 @@ class Stopped(Event):
     help="Names of both LiDARs.  [default: by their topics, or target and source]",
 )
 @click.option(
-    "--check", "stored", type=CLOUD, help="A result, or its folder: have the LiDARs moved since?"
+    "--check",
+    "stored",
+    type=CLOUD,
+    help="A result, or its folder, to check whether the LiDARs have moved since.",
 )
 @more_option("--domain", type=Whole(0, 232), help="Domain of ROS 2.  [default: ROS_DOMAIN_ID]")
 @click.option("--interface", help="Network interface for ROS 2: eth0.  [default: all]")
@@ -96,14 +100,14 @@ class Stopped(Event):
     "senders",
     multiple=True,
     metavar="ADDRESS",
-    help="IP address of a LiDAR that sends packets: those of others are left out. Repeat it for "
-    "the other LiDAR.  [default: of each port, the address that sends most]",
+    help="IP address of a LiDAR that sends packets: packets of others are ignored. Repeat it for "
+    "the other LiDAR.  [default: for each port, the address that sends most]",
 )
 @more_option("--port", type=Whole(0, 65535), default=0, help="Port of the page; 0: a free one.")
 @click.option("--listen", is_flag=True, help="Serve the page to phones in the local network.")
 @more_option("--no-page", is_flag=True, help="Serve no page.")
 @click.option("--publish", is_flag=True, help="Publish the answer on /tf_static, if it is ok.")
-@more_option("--publish-warned", is_flag=True, help="Publish it with a warning, too.")
+@more_option("--publish-warned", is_flag=True, help="Publish an answer with a warning, too.")
 @out_folder(
     "Folder for recordings and result.", RESULT_FILE, REPORT_FILE, *CERTIFICATE, keeping="stored"
 )
@@ -175,9 +179,7 @@ def watch(
     if options["at_m"] is not None and options["need_m"] is None:
         raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
     if options["carried"] and (plan is not None or stored is not None):
-        raise click.UsageError(
-            "--plan and --check are of LiDARs and poles that stand, not --carried"
-        )
+        raise click.UsageError("--plan and --check need fixed LiDARs and poles, without --carried")
     texts = target, source
     first, second = names or names_of(texts, ("target", "source"))
     if first == second:

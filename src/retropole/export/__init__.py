@@ -230,8 +230,8 @@ def read_mounting(path: Path, target: str | None) -> Transform:
         found = _found_in(file, data)
         if any(each.parent is None or each.child is None for each in found):
             raise UsageError(
-                "does not name the frames of the mounting; write it with both: retropole export "
-                "FILE --to yaml --parent base_link --child front"
+                "does not give the names of the frames of the mounting; write both with: "
+                "retropole export FILE --to yaml --parent base_link --child front"
             )
         return choose(found, None, target)
 
@@ -290,7 +290,7 @@ def read_tree(path: Path) -> Tree | None:
 
 
 def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
-    """Put a transform into the URDF of a file, as `put_into_urdf` does.
+    """Write a transform into the URDF of a file, as `put_into_urdf` does.
 
     Returns
     -------

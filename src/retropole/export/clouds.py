@@ -142,7 +142,7 @@ def cloud_writer(path: Path, about: About) -> Iterator[Callable[[Points, float],
 
 
 def columns_of(points: Points, about: About) -> Columns:
-    """Give what is known of points by the names that readers know."""
+    """Give the attributes of points by the names that readers know."""
     xyz = points["xyz"] if about.is_large else points["xyz"].astype(np.float32)
     columns: Columns = dict(zip("xyz", xyz.T, strict=True))
     if about.has_intensity:
@@ -289,8 +289,8 @@ def _las(file: BinaryIO, about: About, packed: bool) -> Iterator[Callable[[Point
         away = np.abs(points["xyz"] - header.offsets).max()
         if away >= reach:
             raise UsageError(
-                f"a point lies {away / 1000:,.0f} km from the first ones, a LAS file holds up to "
-                f"{reach / 1000:,.0f} km: --crop leaves it out"
+                f"a point is {away / 1000:,.0f} km from the first ones, a LAS file holds up to "
+                f"{reach / 1000:,.0f} km: remove it with --crop"
             )
         record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
         record.x, record.y, record.z = points["xyz"].T
@@ -345,7 +345,7 @@ def topics_of_lidars(names: Sequence[str]) -> list[str]:
 
 
 def surfel_columns(surfels: Surfels) -> Columns:
-    """Give what is known of surfels, by the names that CloudCompare and others read."""
+    """Give the attributes of surfels, by the names that CloudCompare and others read."""
     large = np.abs(surfels.centres).max(initial=0.0) > LARGE
     kind = np.float64 if large else np.float32
     columns: Columns = dict(zip("xyz", surfels.centres.astype(kind).T, strict=True))

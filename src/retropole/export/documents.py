@@ -101,7 +101,7 @@ def read_json(data: bytes) -> list[Found]:
     except (msgspec.DecodeError, RecursionError) as error:
         raise ReadError(f"no JSON: {said(error)}") from None
     if not isinstance(document, dict):
-        raise ReadError("the JSON is no object with a key T_target_source")
+        raise ReadError("the JSON is not an object with a key T_target_source")
     result = result_in(data)
     if isinstance(result, SiteDoc):
         return found_in_site(result)
@@ -110,7 +110,7 @@ def read_json(data: bytes) -> list[Found]:
     if document.get("schema") == TREE_SCHEMA:
         entries = document.get("transforms")
         if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
-            raise ReadError("transforms is no list of objects")
+            raise ReadError("transforms is not a list of objects")
         return [_found(entry) for entry in entries]
     return [_found(document)]
 
@@ -191,7 +191,7 @@ def _text(document: dict[str, Any], key: str) -> str | None:
 
 
 def _pose(document: dict[str, Any], key: str) -> Array:
-    """Take the matrix, and check that the quaternion and translation next to it say the same."""
+    """Read the matrix, and check that the quaternion and translation next to it agree."""
     try:
         T = rigid(np.array(document[key], dtype=float))
         if "quaternion" in document and "translation_m" in document:
@@ -201,7 +201,9 @@ def _pose(document: dict[str, Any], key: str) -> Array:
             if difference > 1e-6:
                 raise ReadError(f"{key} and quaternion or translation_m differ by {difference:.3g}")
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        raise ReadError(f"{key} and what is next to it are no transform: {said(error)}") from None
+        raise ReadError(
+            f"{key} and its neighbouring keys are not a transform: {said(error)}"
+        ) from None
     return T
 
 
@@ -306,9 +308,9 @@ def _stamped(message: dict[str, Any]) -> Found:
         parts = _mapping(message["transform"])
         t, q = _scalars(parts["translation"]), _scalars(parts["rotation"])
     except KeyError as error:
-        raise ReadError(f"a transform as a message of ROS has no {said(error)}") from None
+        raise ReadError(f"a transform as a ROS message has no {said(error)}") from None
     if not isinstance(parent, str) or not isinstance(child, str):
-        raise ReadError("frame_id and child_frame_id are no names")
+        raise ReadError("frame_id and child_frame_id are not names")
     values = t | {f"q{name}": q[name] for name in q}
     return Found(parent, child, _Stamped(tuple(values.items())))
 
@@ -337,7 +339,7 @@ def _keys(node: Any) -> set[str]:
 
 
 def _outline(root: Any) -> str:
-    """Say what a document has at its top, two levels deep."""
+    """Describe the top of a document, two levels deep."""
     found = []
     for key, value in root.value[:5]:
         below = ", ".join(sorted(_keys(value))[:4])

@@ -120,5 +120,5 @@ def read_ouster(data: bytes) -> list[Found]:
     try:
         values = np.array(list(map(float, words)))
     except ValueError as error:
-        raise ReadError(f"{found[0]!r} is no row of numbers: {said(error)}") from None
+        raise ReadError(f"{found[0]!r} is not a row of numbers: {said(error)}") from None
     return [Found(*names_in_words(text), lambda: from_quaternion(values[:3], values[3:]))]

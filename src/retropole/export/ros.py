@@ -45,7 +45,7 @@ _NODE = """
 def write_ros1(transform: Transform) -> str:
     """Write a ``rosrun`` line; names that a shell would split are quoted."""
     if any(":=" in name for name in (transform.parent, transform.child)):
-        raise UsageError("ROS 1 takes a name with := for a remapping; name the frame without")
+        raise UsageError("ROS 1 reads a name with := as a remapping; rename the frame")
     values = list(pose_values(transform, QUATERNION).values())
     line = shlex.join([*values, transform.parent, transform.child])
     return f"{comments(transform.notes)}rosrun tf2_ros {PROGRAM} {line}\n"
@@ -54,7 +54,7 @@ def write_ros1(transform: Transform) -> str:
 def _flags(transform: Transform) -> list[str]:
     """Arguments of the ROS 2 program, unquoted."""
     if "--ros-args" in (transform.parent, transform.child):
-        raise UsageError("ROS 2 takes --ros-args for an option, not for the name of a frame")
+        raise UsageError("ROS 2 reads --ros-args as an option, not as the name of a frame")
     words = [
         word
         for name, value in pose_values(transform, QUATERNION).items()
@@ -139,7 +139,9 @@ def _read_launch_xml(data: bytes) -> list[Found]:
             continue
         args, name = of.get("args", ""), of.get("name", PROGRAM)
         if "$(" in args:
-            raise ReadError(f"node {name!r}: its args hold $(…); put in the numbers and names")
+            raise ReadError(
+                f"node {name!r}: its args contain $(…); replace them by numbers and names"
+            )
         try:
             words = shlex.split(args)
         except ValueError as error:
@@ -166,7 +168,7 @@ def _commands(data: bytes) -> list[list[str]]:
         at = words.index(PROGRAM)
         if at and words[at - 1] == "tf":
             raise ReadError(
-                f"'tf {PROGRAM}' takes a period; the one of tf2_ros is read alone: leave out the "
+                f"'tf {PROGRAM}' has a period; only that of tf2_ros is read: leave out the "
                 "period and write tf2_ros"
             )
         commands.append(words[at + 1 :])

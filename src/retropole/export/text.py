@@ -76,8 +76,8 @@ def read_matrix(data: bytes) -> list[Found]:
     words = re.sub(r"[][,;]", " ", body).split()
     if len(words) != 16:
         raise ReadError(
-            f"a 4×4 matrix has 16 numbers, this has {len(words)}; a pose of 6 or 7 numbers is "
-            "read with their names, a line each, 'x: 1.5': x y z and qx qy qz qw, or roll_deg "
+            f"a 4×4 matrix has 16 numbers, this has {len(words)}; a pose of 6 or 7 numbers is read "
+            "if each has a name, one per line, as 'x: 1.5': x y z and qx qy qz qw, or roll_deg "
             "pitch_deg yaw_deg"
         )
     values = np.array([to_float(word) for word in words]).reshape(4, 4)
@@ -142,7 +142,9 @@ def _echoed(text: str) -> Array:
     """
     poses = {tuple(_ECHOED.findall(f"Translation{each}")) for each in text.split("Translation")[1:]}
     if len(poses) > 1:
-        raise ReadError(f"tf2_echo printed {len(poses)} different transforms: this one moves")
+        raise ReadError(
+            f"tf2_echo printed {len(poses)} different transforms: this transform changes"
+        )
     parts = {name: values.replace(",", " ").split() for name, values in poses.pop()}
     if [len(parts.get(name, ())) for name in ("Translation", "Quaternion")] != [3, 4]:
         raise ReadError("expected Translation: [x, y, z] and Quaternion [x, y, z, w] of tf2_echo")
@@ -208,4 +210,4 @@ def to_float(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise ReadError(f"{word.strip()!r} is no number") from None
+        raise ReadError(f"{word.strip()!r} is not a number") from None

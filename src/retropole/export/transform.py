@@ -92,24 +92,24 @@ class Transform:
                     f"{LONGEST_NAME} at most"
                 )
             if not is_name(name):
-                raise UsageError(f"{name[:60]!r} is no name for the {role} frame")
+                raise UsageError(f"{name[:60]!r} is not a valid name for the {role} frame")
         if self.parent == self.child:
             raise UsageError(f"parent and child are both named {self.parent!r}; they must differ")
 
     @property
     def meaning(self) -> str:
-        """Say in words what it maps, and name the frames so that they can be read back."""
+        """Describe what it maps, and name the frames so that they can be read back."""
         parent, child = quoted(self.parent), quoted(self.child)
         return f"maps points of {child} into {parent}; parent: {parent}, child: {child}"
 
     @property
     def notes(self) -> list[str]:
-        """Say in comments what it maps, and the verdict of its calibration."""
+        """Describe in comments what it maps, and the verdict of its calibration."""
         return [self.meaning, *([self.verdict] if self.verdict else [])]
 
 
 def notes_on(transforms: Sequence[Transform]) -> list[str]:
-    """Say what several transforms map, and each verdict once."""
+    """Describe what several transforms map, and each verdict once."""
     verdicts = dict.fromkeys(each.verdict for each in transforms if each.verdict)
     return [*(each.meaning for each in transforms), *verdicts]
 
@@ -322,7 +322,7 @@ def way_between(found: Sequence[Found], parent: str, child: str) -> Way | None:
 
 
 def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Transform:
-    """Take the one transform that fits the names; name it where the file does not.
+    """Find the one transform that fits the names; name it if the file does not.
 
     If none has both names, that over a way of several: over ``base_link`` to both LiDARs.
 
@@ -350,8 +350,8 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
     for role, there, given in zip(one.roles, (one.parent, one.child), (parent, child), strict=True):
         if one.is_of_lidars and there is None and (given or "").rpartition("/")[2] in NO_LIDARS:
             raise UsageError(
-                f"{given!r} is by its name no LiDAR: name the frame of the {role} itself; its pose "
-                "on a robot takes --mounting FILE or --into ROBOT.urdf"
+                f"{given!r} is not the name of a LiDAR frame: give the frame of the {role} "
+                "itself; for its pose on a robot use --mounting FILE or --into ROBOT.urdf"
             )
     return Transform(
         se3.rigid(one.pose()),

@@ -166,7 +166,7 @@ def grid_of(tree: Tree) -> Grid | None:
 
 
 def notes_of(tree: Tree) -> list[str]:
-    """Say in words what the frames are, a line each, without line breaks.
+    """Describe the frames, a line each, without line breaks.
 
     Of a projected system also what it does to lengths, and by how much the tree, which has the
     lengths of the ground, then differs from the coordinates in it.
@@ -194,14 +194,13 @@ def notes_of(tree: Tree) -> list[str]:
     grid = grid_of(tree)
     if tree.has_map:
         system = frame.name if grid is None or frame.geodetic is None else grid.name
-        notes.append(f"{MAP}: the frame that the survey is given in ({system}), full coordinates")
+        notes.append(f"{MAP}: the frame of the survey ({system}), full coordinates")
     if grid is None:
         return [printable(note) for note in notes]
-    notes += [grid.words, "heights are as surveyed, taken for heights above the ellipsoid"]
+    notes += [grid.words, "heights are as surveyed, treated as heights above the ellipsoid"]
     if frame.geodetic is None:
         notes.append(
-            f"{SITE}: coordinates of the grid less an offset: their lengths are not those on the "
-            "ground"
+            f"{SITE}: coordinates of the grid less an offset: lengths are not those on the ground"
         )
     elif tree.has_map:
         by_tree = se3.apply(tree.edges[0].T_parent_child, tree.places)
@@ -210,8 +209,8 @@ def notes_of(tree: Tree) -> list[str]:
         # A tenth of a millimetre is below any survey.
         if off[worst] >= 1e-4:
             notes.append(
-                f"the tree keeps lengths on the ground, so by it {tree.lidars[worst].name} is "
+                f"the tree has lengths on the ground, so that in it {tree.lidars[worst].name} is "
                 f"{1000 * off[worst]:.1f} mm from its coordinates in the grid; json and geojson "
-                "hold those exactly"
+                "contain the exact values"
             )
     return [printable(note) for note in notes]

@@ -73,14 +73,14 @@ def _robot(root: Element) -> Element:
     return root
 
 
-def _beside(element: Element, tag: str) -> str:
+def _qualified(element: Element, tag: str) -> str:
     """Tag in the namespace of an element: some robots declare one for all that has no prefix."""
     return element.tag[: element.tag.rfind("}") + 1] + tag
 
 
 def _named(element: Element, tag: str) -> list[Element]:
     """Children with a tag, in the namespace of their parent."""
-    return element.findall(_beside(element, tag))
+    return element.findall(_qualified(element, tag))
 
 
 def _found(robot: Element) -> list[Found]:
@@ -126,7 +126,7 @@ def _three(text: str, name: str) -> Array:
 
 
 def put_into_urdf(data: bytes, transform: Transform) -> bytes:
-    """Put a transform into a robot, and leave all else that the file says as it is.
+    """Write a transform into a robot, and leave the rest of the file unchanged.
 
     The joint to the child is written. Where it starts at another link than the parent,
     its origin is the way there from that link, over fixed joints, times the transform: the robot
@@ -157,7 +157,7 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
         an expression; or it would close a circle.
     """
     robot: Any = _robot(xml_to_edit(data))
-    joints = robot.iter(_beside(robot, "joint"))
+    joints = robot.iter(_qualified(robot, "joint"))
     mine = [joint for joint in joints if _link(joint, "child") == transform.child]
     if mine:
         _check_joint(mine, robot)
@@ -177,7 +177,7 @@ def _from_link(link: str, robot: Element, transform: Transform) -> Transform:
     if way is None:
         raise UsageError(
             f"no joints lead from {link!r}, where the joint to {transform.child!r} starts, to "
-            f"{transform.parent!r}: the robot does not say where {transform.parent!r} is on it"
+            f"{transform.parent!r}: the robot does not define where {transform.parent!r} is on it"
         )
     return mounted(transform, Transform(se3.rigid(way.pose()), link, transform.parent))
 
@@ -189,7 +189,7 @@ def _check_joint(mine: list[Any], robot: Any) -> None:
         child = _link(mine[0], "child")
         raise UsageError(f"{child!r} is the child of {len(mine)} joints: {names}")
     if mine[0].getparent() is not robot:
-        raise UsageError(f"joint {names} stands inside a macro or condition; expand it first")
+        raise UsageError(f"joint {names} is inside a macro or condition; expand it first")
     _check_fixed(mine[0])
 
 
@@ -208,8 +208,8 @@ def _check_parent(robot: Element, transform: Transform) -> None:
     way = way_between(_found(robot), child, parent)
     if way is not None and not way.of_parent:
         raise UsageError(
-            f"{parent!r} is below {child!r} in the robot: a joint back would close a circle; "
-            "export with --invert for the joint the other way"
+            f"{parent!r} is below {child!r} in the robot: a joint back would form a "
+            "loop; export with --invert for the opposite joint"
         )
 
 
@@ -217,11 +217,11 @@ def _check_room(robot: Any, transform: Transform) -> None:
     """Refuse where a new joint would depend on nothing, close a circle or take a name twice."""
     if any(element.prefix == "xacro" for element in robot.iter("*")):
         raise UsageError(
-            f"the file is xacro and has no plain joint to {transform.child!r}, but what it "
-            "includes and its macros may make one; expand it first: xacro FILE > robot.urdf"
+            f"the file is xacro and has no plain joint to {transform.child!r}, but its includes "
+            "and macros may create one; expand it first: xacro FILE > robot.urdf"
         )
     if "xacro" in robot.nsmap and "$" in transform.parent + transform.child:
-        raise UsageError("xacro takes $ in a name for an expression; expand the file first")
+        raise UsageError("xacro reads $ in a name as an expression; expand the file first")
     _check_parent(robot, transform)
     name = f"{transform.child}_joint"
     if any(joint.get("name") == name for joint in _named(robot, "joint")):
@@ -230,7 +230,7 @@ def _check_room(robot: Any, transform: Transform) -> None:
 
 def _set_origin(joint: Any, transform: Transform) -> None:
     """Set the origin of a joint that is there; one that is missing becomes its first element."""
-    origin = joint.find(_beside(joint, "origin"))
+    origin = joint.find(_qualified(joint, "origin"))
     if origin is None:
         origin = joint.makeelement("origin")
         origin.tail = joint.text
@@ -261,7 +261,7 @@ def is_xml(data: bytes) -> bool:
 
 class _WithoutDoctype(TreeBuilder):
     def doctype(self, *_: object) -> None:
-        raise ReadError("the XML has a DOCTYPE; such files are not read")
+        raise ReadError("the XML has a DOCTYPE; such files are not accepted")
 
 
 def read_xml(data: bytes) -> Element:

@@ -76,7 +76,7 @@ class Failure:
 def shape_failure(
     cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS, shortest: float = MIN_LENGTH
 ) -> Failure | None:
-    """Say why a line does not have the shape of a pole; None if it has.
+    """State why a line does not have the shape of a pole; None if it has.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def shape_failure(
         return Failure("too_wide", reason)
     along_sweep = _on_one_elevation if cloud.ring is None else _runs_along_rings
     if along_sweep(cloud, line):
-        reason = f"{count} points that follow each other in a beam's sweep"
+        reason = f"{count} consecutive points along the sweep of one beam"
         return Failure("along_a_beam", reason)
     return None
 

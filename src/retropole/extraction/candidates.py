@@ -98,7 +98,8 @@ def with_candidates(
 
 
 def _failure_of(around: Surroundings, radius: float) -> Failure | None:
-    """Say what no log-odds excuse: a few stray returns, a thick line, and one along the rings."""
+    """Report faults that the log-odds do not cover: a few stray returns, a thick line, and one
+    along the rings."""
     cloud, line = around.cloud, around.line
     if len(line.index) < MIN_POLE_POINTS and cloud.ring is not None:
         # A dim return on the line is a hit, too: some rings hit only the edges of a pole.

@@ -24,7 +24,7 @@ seen at 28°."""
 
 
 def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -> Failure | None:
-    """Say why a line that passes all other rules is no confirmed pole; None if it is.
+    """State why a line that passes all other rules is not a confirmed pole; None if it is.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
 
 
 def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
-    """Say that a line is thicker than a pole of a radius, metres; None if it is not."""
+    """Report that a line is thicker than a pole of a radius, metres; None if it is not."""
     limit = line.with_beams(MAX_CONFIRMED_RMS)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:
@@ -53,7 +53,7 @@ def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failur
     return Failure(
         "too_wide",
         f"its returns scatter by {1000 * scatter:.0f} mm about their line, {1000 * limit:.0f} mm "
-        f"are the most for a pole of {1000 * radius:.0f} mm radius",
+        f"is the limit for a pole of {1000 * radius:.0f} mm radius",
     )
 
 
@@ -88,7 +88,7 @@ def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
     if is_explained:
         return None
     reason = (
-        f"{line.length:.2f} m long with a gap of {gap:.2f} m: two things, or a pole half hidden"
+        f"{line.length:.2f} m long with a gap of {gap:.2f} m: two objects, or a partly hidden pole"
     )
     return Failure("interrupted", reason)
 
@@ -99,5 +99,5 @@ def _end_on(cloud: PointCloud, line: Line) -> Failure | None:
     angle = float(np.arctan2(across, abs(sight @ line.direction)))
     if angle >= MIN_SIGHT_ANGLE:
         return None
-    reason = f"seen at {np.degrees(angle):.0f}° to its own direction, nearly end on"
+    reason = f"seen at {np.degrees(angle):.0f}° to its axis, nearly end on"
     return Failure("end_on", reason)

@@ -36,7 +36,9 @@ def check_coordinates(cloud: PointCloud) -> None:
     Refusal
         ``far_from_lidar`` where one is beyond `FARTHEST`, which no map reaches.
     """
-    _check_within(cloud, FARTHEST, "the file is damaged, or a field is not what it is called")
+    _check_within(
+        cloud, FARTHEST, "the file is damaged, or a field does not contain what its name says"
+    )
 
 
 def located(cloud: PointCloud, radius: float) -> PointCloud:
@@ -70,14 +72,14 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
         odd = oddity_of(cloud)
         if odd is not None and odd.is_map:
             rest = (
-                f"; {odd.words}; give it in the LiDAR's own frame, or subtract the LiDAR's place "
+                f"; {odd.words}; give it in the LiDAR's frame, or subtract the LiDAR's position "
                 "from all points"
             )
         else:
             rest = (
-                f" of where the beams are taken to start, half are beyond {away:.0f} m: no pole is "
-                "seen so far away; give the cloud in the LiDAR's own frame, or with rings or a PCD "
-                "viewpoint, which tell where it was"
+                f" of the assumed origin of the beams, half are beyond {away:.0f} m: a pole "
+                "cannot be seen at that distance; give the cloud in the LiDAR's frame, or with "
+                "rings or a PCD viewpoint, which show where the LiDAR was"
             )
         raise Refusal(
             "far_from_lidar",
@@ -88,8 +90,8 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     _check_within(
         found,
         FARTHEST_ORIGIN,
-        "no pose is precise about an origin so far away; give the clouds in metres and in the "
-        f"LiDARs' own frames, or subtract an offset such as ({x:.0f}, {y:.0f}, {z:.0f})",
+        "a pose is not accurate with an origin that far away; give the clouds in metres and in "
+        f"the LiDARs' frames, or subtract an offset such as ({x:.0f}, {y:.0f}, {z:.0f})",
     )
     return found
 
@@ -101,7 +103,7 @@ def _check_within(cloud: PointCloud, most: float, advice: str) -> None:
     reach = np.maximum(np.abs(cloud.xyz).max(axis=1), np.abs(cloud.origin).max())
     far = int(np.count_nonzero(reach > most))
     if 2 * far < len(cloud):
-        advice = "so few are damaged or no returns; leave them out"
+        advice = "these few are damaged or not returns; remove them"
     if far:
         raise Refusal(
             "far_from_lidar",

@@ -220,7 +220,7 @@ def _judge(
     room: float,
     search: LineSearch,
 ) -> Judged:
-    """Take in all that lies on a line, and judge it."""
+    """Add all points on a line, and judge it."""
     line = _from_afar(cloud, line, search.pointing)
     failure = shape_failure(cloud, line, search.fewest, search.shortest)
     if failure is not None:
@@ -257,7 +257,7 @@ def _failure_in_brightness(line: Line) -> Failure | None:
 
 
 def _failure_of_all(cloud: PointCloud, left: IntArray, first: Judged | None) -> Failure:
-    """Say first what the points are of which only a part was tested as a line."""
+    """Put a description of the points in front, if only a part was tested as a line."""
     if first is None or first.failure is None:
         nothing = f"no {MIN_LINE_POINTS} of its points lie in line over {MIN_LENGTH:g} m"
         return Failure("too_short", nothing)
@@ -271,10 +271,13 @@ def _failure_of_all(cloud: PointCloud, left: IntArray, first: Judged | None) -> 
 
 
 def why_left(free: BoolArray, parts: list[IntArray]) -> Failure:
-    """Say why points are left where no line was tried and found wanting."""
+    """State why points are left if no line was tried and rejected."""
     most = max((int(np.count_nonzero(free[part])) for part in parts), default=0)
     if most >= MIN_POLE_POINTS:
-        reason = f"{most} points left after {MAX_POLES} poles, more are not looked for"
+        reason = f"{most} points left after {MAX_POLES} poles, no more are searched for"
     else:
-        reason = f"no {MIN_POLE_POINTS} points together off poles and surfaces, as a pole needs"
+        reason = (
+            f"no {MIN_POLE_POINTS} points close together away from poles and surfaces, the "
+            "minimum for a pole"
+        )
     return Failure("too_few_points", reason)

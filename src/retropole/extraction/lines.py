@@ -1,8 +1,8 @@
 """Propose the lines that some bright points may lie on, and fit each to the points about it.
 
 Bright points are grouped first, and those inside a bright surface distinguished from those along a
-line. Only distances between points count here: a cloud gives the same groups and lines after any
-rigid motion, and in whatever order its points come. What *Sensitivity* means at a constant:
+line. Only distances between points are used: a cloud gives the same groups and lines after any
+rigid motion, and in any order of its points. What *Sensitivity* means at a constant:
 docs/evidence/detection.md.
 """
 
@@ -24,8 +24,8 @@ from .sensor_pattern import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter
 
 LINK = 1.2
 """Points with no longer step between them are one cluster, metres. Longer than two ring spacings of
-a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring divides no pole.
-Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
+a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring does not divide a
+pole. Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
 
 MAX_NEIGHBOUR_DISTANCE = 0.35
 """A return from the edge of the tube to this distance of the line is its neighbour, metres: the
@@ -80,10 +80,10 @@ def clusters(xyz: Array, link: float) -> list[IntArray]:
 
 
 def on_surface(xyz: Array) -> BoolArray:
-    """Say which points lie inside a bright surface: wide in two directions about each of them.
+    """Find the points inside a bright surface: wide in two directions about each of them.
 
     Saturated ground and large signs are thousands of points, in which chance lines abound. Lines
-    are worth looking for in what is left without them.
+    are searched for among the remaining points.
 
     Parameters
     ----------
@@ -131,19 +131,19 @@ def _neighbours(centre: Array, radius: float) -> coo_array:
 
 
 LITTLE, HALF, MOST = 0.25, 0.5, 0.7
-"""Shares that the rules speak of: next to nothing, half, and most of something. Limits of the rules
-had values of their own within 0.1 of these: with these instead, the same poles are found in 3,000
-clouds, but for a few (docs/evidence/detection.md, Sensitivity)."""
+"""Shares used by the rules: next to nothing, half, and most. The limits of the rules
+had separate values within 0.1 of these: with these instead, the same poles except for a few
+are found in 3,000 clouds (docs/evidence/detection.md, Sensitivity)."""
 
 MAX_PROPOSING_PAIRS = 2000
-"""Pairs of points, at most, that propose a line: with `MANY` it bounds a search to 800,000
+"""Maximum number of pairs of points that propose a line: with `MANY` it bounds a search to 800,000
 distances, about 4 ms. Sensitivity at 1400: 2 poles lost, 9 fewer false; at 2800: 1 pole lost, 6
 fewer false."""
 
 PROPOSALS = 6
-"""Distinct lines that one search proposes. Where none of them is a pole, the search of that group
-ends, and the group has the failure of the first. Sensitivity at 4: 4 poles lost, 8 fewer false; at
-8: 6 more false."""
+"""Number of distinct lines that one search proposes. If none of them is a pole, the search of that
+group ends, and the group has the failure of the first. Sensitivity at 4: 4 poles lost, 8 fewer
+false; at 8: 6 more false."""
 
 MIN_LINE_POINTS = 3
 """Two points always lie in line; the third is the first that supports it. At least this many rings
@@ -159,20 +159,20 @@ recorded post, 2 more found, 14 fewer false."""
 
 SEARCH_ROOM = 0.04
 """The same in which a proposed line has its points, metres: 4 σ of 10 mm, the range noise of most
-sensors of the table. What is this far from something is separate from it. Sensitivity at 0.028: 6
+sensors of the table. Points this far from an object are separate from it. Sensitivity at 0.028: 6
 poles lost, 13 fewer false; at 0.056: 3 more found, 6 more false."""
 
 FIT_ROUNDS = 4
-"""Rounds of a fit at most; it ends before where a round keeps the points of the one before. A fit
-that has not ended is tested as it is: the rules see its points and their scatter. Sensitivity at 3:
-9 more false; at 6: 13 fewer false."""
+"""Maximum number of rounds of a fit; it ends earlier if a round keeps the points of the previous
+one. A fit that has not ended is tested as it is: the rules use its points and their scatter.
+Sensitivity at 3: 9 more false; at 6: 13 fewer false."""
 
 FIT_SIGMAS = 2.5
 """Distance from the line to which points are kept, in standard deviations: 98.8 % of a normal
 distribution on either side of it. Sensitivity at 1.75: 7 more false; at 3.5: 8 fewer false."""
 
 FIT_ROOM = 0.02
-"""Room about the pole's radius that is kept however little its points scatter, metres: 2 σ of the
+"""Smallest room about the pole's radius, however little its points scatter, metres: 2 σ of the
 sensors' range noise, 10 mm for most of the table of sensors. Sensitivity at 0.014: no effect; at
 0.028: 5 fewer false."""
 
@@ -181,7 +181,7 @@ WIDTH_IN_RMS = 4.0
 more false; at 5.6: 10 recorded posts lost, 2 fewer false."""
 
 RING_GAP = 0.015
-"""Returns whose places along a line differ by less come from one ring, metres: the finest ring
+"""Returns whose positions along a line differ by less are from one ring, metres: the finest ring
 spacing of the table of sensors, Pandar64 with 1/6°, is 0.0145 m at 5 m. Sensitivity at 0.0105: 3
 poles lost, 2 of them recorded posts; at 0.021: 1 more found, 1 fewer false."""
 
@@ -199,19 +199,19 @@ class Line:
     index
         (N,) index of the points in their cloud.
     along
-        (N,) their places along the line from its point, metres.
+        (N,) their positions along the line from its point, metres.
     point, direction
         (3,) centroid, and unit vector of either sign.
     length, rms
         Extent of the points along the line, and their root mean square distance from it, metres.
     rings
-        How many rings of the LiDAR hit it.
+        Number of rings of the LiDAR that hit it.
     tube
         Radius about the line in which its points lie, metres.
     beam_scatter
-        What beams wider than ordinary ones add to the scatter of the returns, metres.
+        Addition to the scatter of the returns by beams wider than ordinary ones, metres.
     thicker
-        What a radius above the usual one adds to it, metres.
+        Addition to it by a radius above the usual one, metres.
     """
 
     index: IntArray
@@ -239,17 +239,17 @@ class Line:
 
     @property
     def low(self) -> float:
-        """Where its points begin along it, metres."""
+        """Begin of its points along it, metres."""
         return float(self.along.min())
 
     @property
     def high(self) -> float:
-        """Where its points end along it, metres."""
+        """End of its points along it, metres."""
         return float(self.along.max())
 
     @property
     def width(self) -> float:
-        """How far its points spread across it, metres."""
+        """Extent of its points across it, metres."""
         return WIDTH_IN_RMS * self.rms
 
 
@@ -283,7 +283,7 @@ def propose_lines(
     shell
         Inner and outer radius about a line, metres.
     most
-        Lines that are proposed at most.
+        Maximum number of lines that are proposed.
 
     Returns
     -------
@@ -328,7 +328,7 @@ def propose_lines(
 
 
 class LineCoordinates(NamedTuple):
-    """Distances (N,) of points from a line, and their places (N,) along it, metres."""
+    """Distances (N,) of points from a line, and their positions (N,) along it, metres."""
 
     distances: Array
     places: Array
@@ -385,13 +385,13 @@ def fit_lines(
 ) -> list[Line]:
     """Fit lines to those of some candidate points that are about each first guess, all at once.
 
-    Points farther off than the others scatter are left out, and so is what a gap longer than `LINK`
-    separates from most of them.
+    Points farther off than the scatter of the others are left out, and so are those separated from
+    most of them by a gap longer than `LINK`.
 
     Parameters
     ----------
     cloud
-        Where the points are from.
+        The cloud of the points.
     candidates
         (N,) index of the points that may lie on a line.
     guesses
@@ -480,7 +480,7 @@ def _distances_and_places(xyz: Array, points: Array, directions: Array) -> tuple
 
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
     """Keep of each row (G, N) the piece with most of the points inside, where gaps longer than
-    `LINK` part them."""
+    `LINK` separate them."""
     row, column = np.nonzero(inside)
     if not len(row):
         return inside
@@ -503,7 +503,7 @@ def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
 
 
 def _medians(values: Array, inside: BoolArray) -> Array:
-    """(G,) median of those values of each row (G, N) that are inside; one at least is."""
+    """(G,) median of those values of each row (G, N) that are inside; at least one is."""
     row, column = np.nonzero(inside)
     ordered = values[row, column]
     ordered = ordered[np.lexsort((ordered, row))]
@@ -524,13 +524,14 @@ def _principal_lines(xyz: Array, inside: BoolArray) -> tuple[Array, Array]:
 
 
 def _ends_of_pieces(places: Array, gap: float) -> IntArray:
-    """(P + 1,) where the pieces of sorted places begin that longer gaps part, and the last ends."""
+    """(P + 1,) begin of the pieces of sorted positions between longer gaps, and end of the last."""
     cuts = np.flatnonzero(places[1:] - places[:-1] > gap) + 1
     return np.concatenate([[0], cuts, [len(places)]])
 
 
 def _rings_hit(cloud: PointCloud, index: IntArray, along: Array) -> int:
-    """How many rings hit a line: counted where the cloud has rings, else by gaps along the line."""
+    """Number of rings that hit a line: counted if the cloud has rings, else by gaps along the
+    line."""
     if cloud.ring is not None:
         return len(np.unique(cloud.ring[index]))
     places = np.sort(along)

@@ -95,9 +95,9 @@ def extract_poles(
         bright = int(np.count_nonzero(cloud.intensity >= chosen.value))
         raise Refusal(
             "threshold_too_low",
-            f"{bright} of {len(cloud)} points pass the threshold {chosen.value:g}, tape is few of "
-            f"them: give one above {np.quantile(cloud.intensity, 0.9):g}, that of the brightest "
-            "tenth, or none",
+            f"{bright} of {len(cloud)} points pass the threshold {chosen.value:g}, tape gives "
+            f"only a few: give a threshold above {np.quantile(cloud.intensity, 0.9):g}, that of "
+            "the brightest tenth, or none",
             {"bright": bright, "points": len(cloud), "threshold": chosen.value},
         )
     knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
@@ -223,7 +223,7 @@ def pole_on(cloud: PointCloud, found: Judged) -> Pole:
 def _rejected(
     cloud: PointCloud, free: BoolArray, failures: list[tuple[IntArray, Failure]]
 ) -> list[RejectedCluster]:
-    """Give what no line has claimed, cluster by cluster, with its reason."""
+    """Give the points that belong to no line, cluster by cluster, with the reason."""
     rejected = []
     for cluster, failure in failures:
         left = np.sort(cluster[free[cluster]])

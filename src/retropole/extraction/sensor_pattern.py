@@ -180,7 +180,7 @@ def _spins(cloud: PointCloud) -> bool:
 
 
 def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
-    """Say why a cloud is hardly of the sensor that was named; empty if it may be, or if
+    """State why a cloud is probably not of the given sensor; empty if it may be, or if
     `check_sensor` refuses it.
 
     Its rings are those of another sensor, or without rings it shows more than the sensor sees. No
@@ -203,8 +203,8 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
         if not fitting or sensor.name in fitting:
             return ""
         return (
-            f"the rings of {_named(cloud)} are those of {' or '.join(fitting)}, and not those of "
-            f"{sensor.name}, which was named"
+            f"the rings of {_named(cloud)} are those of {' or '.join(fitting)}, not those of "
+            f"{sensor.name}, which was given"
         )
     if len(cloud) < FEWEST_POINTS:
         return ""
@@ -213,16 +213,16 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
     share = float(np.mean(_beyond(elevation, sensor)))
     if share > MANY_BEYOND:
         what = (
-            f"{share:.0%} of the points of {_named(cloud)} are outside of what the {sensor.name} "
-            f"sees ({_span(sensor)})"
+            f"{share:.0%} of the points of {_named(cloud)} are outside the field of view of the "
+            f"{sensor.name} ({_span(sensor)})"
         )
     elif is_wider(cloud, sensor):
         what = f"{_named(cloud)} has {_wider(cloud, sensor)}"
     else:
         return ""
     return (
-        f"{what}: another LiDAR recorded it, or its points were turned or moved since, so that "
-        "where the beams start is not known"
+        f"{what}: it was recorded by another LiDAR, or its points were rotated or moved since, "
+        "so that the origin of the beams is not known"
     )
 
 

@@ -1,11 +1,12 @@
-"""Is a line isolated? One function for each rule, and what is about a line.
+"""Whether a line is isolated: one function for each rule, and the points around a line.
 
 Stripes, edges of signs and rings of a scan are thin and straight like a pole, but they are part of
-something. A pole has free air around it. Points about it may be a second pole, or a wall behind it.
+something. A pole has free space around it. Points about it may be a second pole, or a wall behind
+it.
 
-A band is worn, or held, as by a person: the body goes on above it and below it, and has air around.
-A pole reaches the ground and is as high as a person, so that nothing near it goes on beyond both
-of its ends. A wall does, but has no end next to the line either.
+A band is worn, or held, as by a person: the body continues above and below it, with free space
+around. A pole reaches the ground and is as high as a person, so that nothing near it continues
+beyond both of its ends. A wall does, but has no end next to the line either.
 
 What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
@@ -60,13 +61,14 @@ PLANE_MEDIANS = 1.5
 
 SWEEP_NEIGHBOURS = 8
 """Nearest neighbours of each return that show the direction of the sweep. Fewer returns than twice
-as many show nothing: without that, 2 poles of an OS1 are lost in clouds without rings."""
+this number give no information: without that limit, 2 poles of an OS1 are lost in clouds without
+rings."""
 
 MAX_SWEEP_SHARE = 0.78
 """Largest share of the direction of the line in the squared steps to these neighbours: ½ on a
 plane that is scanned evenly. It was 0.82 to 0.94 about lines along the rings of bright ground, and
 0.74 at most about poles (staged clouds without rings, benchmarks/detection.py, seeds 1 and 2).
-Range noise as large as a step turns single ones, but hardly their sum."""
+Range noise as large as a step changes the direction of single ones, but hardly their sum."""
 
 
 def on_crossing_line(nearby: Array, line: Line) -> BoolArray:
@@ -120,11 +122,11 @@ def is_wall_behind(nearby: Array, own: Array) -> bool:
 
 
 def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
-    """Whether the line runs along a beam's sweep, as the returns about it show.
+    """Whether the line runs along a beam's sweep, judged by the returns about it.
 
     The returns of one ring are much nearer to each other than to those of the next: around a line
     along a ring, nearest neighbours lie in its direction. Rings as close together as their returns
-    give no information. Of the squared steps to them, the share along the line counts.
+    give no information. The criterion is the share along the line of the squared steps to them.
 
     Parameters
     ----------
@@ -143,7 +145,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
     distance, _ = line_coordinates(points, line.point, line.direction)
     order = np.argsort(distance, kind="stable")[:MANY]
     sample = points[order]
-    # Of a dense cloud few points are so near to the sample that they can be its neighbours.
+    # In a dense cloud few points are near enough to the sample to be its neighbours.
     around = points[distance <= distance[order[-1]] + MAX_NEIGHBOUR_DISTANCE]
     away, neighbour = cKDTree(around).query(sample, SWEEP_NEIGHBOURS + 1)
     if away.max() > MAX_NEIGHBOUR_DISTANCE:
@@ -166,7 +168,7 @@ false."""
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """A line, and the points of its cloud about it, as the rules see them.
+    """A line, and the points of its cloud about it, as used by the rules.
 
     Attributes
     ----------
@@ -175,7 +177,7 @@ class Surroundings:
     near
         (M,) index of the points about the line.
     distance, along
-        (M,) their distances from the line, and their places along it, metres.
+        (M,) their distances from the line, and their positions along it, metres.
     neighbour_limit
         Up to which distance from the line points are its neighbours, metres.
     is_retro
@@ -187,7 +189,8 @@ class Surroundings:
     nearby
         (M,) which lie next to the line, outside its tube and between its ends.
     is_thick, is_short, has_few_points
-        What makes a line suspect: a post may be thick, a sign's edge short, a far sign few returns.
+        Why a line is suspect: a post may be thick, a sign's edge short, a far sign have few
+        returns.
     """
 
     cloud: PointCloud
@@ -226,7 +229,7 @@ class Surroundings:
 def surroundings_of(
     cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
 ) -> Surroundings:
-    """Compute what the rules share.
+    """Compute the quantities used by several rules.
 
     Parameters
     ----------
@@ -236,11 +239,11 @@ def surroundings_of(
     is_retro
         (N,) which points of the cloud are retro-reflective and on no other pole.
     line
-        One that `shape_failure` finds nothing wrong with.
+        One that passes `shape_failure`.
     """
     assert cloud.intensity is not None
     distance, along = line_coordinates(cloud.xyz[near], line.point, line.direction)
-    # Where rings are sparser, so may be the columns of a sign.
+    # If rings are sparser, so may be the columns of a sign.
     limit = max(MAX_NEIGHBOUR_DISTANCE, line.step)
     nearby = (distance > line.tube) & (distance < limit)
     nearby &= (along >= line.low) & (along <= line.high)
@@ -267,7 +270,8 @@ def surroundings_of(
 def cluttered_share(line: Line, places: Array, density: float) -> float:
     """Share of the line's pieces with ``density`` or more neighbours for each point of its own.
 
-    Pieces without points of the line do not count; ``places`` (K,) are the neighbours' along it.
+    Pieces without points of the line are not used; ``places`` (K,) are the positions of the
+    neighbours along it.
     """
     span = line.low, line.high
     places = places[(places >= span[0]) & (places <= span[1])]
@@ -284,18 +288,18 @@ def piece_of(places: Array, low: float, high: float) -> IntArray:
 
 
 BODY_REACH = 0.65
-"""A body lies no farther from its band, metres: held off by an arm's length of half a metre, and
-0.3 m deep, half of it seen."""
+"""Largest distance of a body from its band, metres: the band held at arm's length, half a metre,
+and a body 0.3 m deep, half of which is seen."""
 
 AIR = 1.1
-"""Up to this distance from the band, metres, there is air about a body."""
+"""Up to this distance from the band, metres, there is free space about a body."""
 
 BEYOND_BAND = 0.15
-"""A body goes on beyond both ends by this and by a step from ring to ring, metres."""
+"""A body continues beyond both ends by this plus a step from ring to ring, metres."""
 
 
 def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
-    """Say that a line is a band on a body; None where it is not.
+    """Report that a line is a band on a body; None if it is not.
 
     Parameters
     ----------
@@ -313,7 +317,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     around = (distance > BODY_REACH) & (distance <= AIR)
 
     def is_free(part: BoolArray) -> bool:
-        """Whether there is something of a body in a part (M,), and air about it."""
+        """Whether there are points of a body in a part (M,), and free space about it."""
         own = np.count_nonzero(body & part)
         return bool(own >= MIN_LINE_POINTS and np.count_nonzero(around & part) <= LITTLE * own)
 
@@ -329,25 +333,25 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
 
     return Failure(
         "on_a_body",
-        f"{counted(count, 'return')} up to {BODY_REACH:g} m beside it "
-        f"{'goes' if count == 1 else 'go'} on beyond both its ends, with air about "
+        f"{counted(count, 'return')} up to {BODY_REACH:g} m next to it "
+        f"{'goes' if count == 1 else 'go'} beyond both its ends, with free space around "
         "them: a band that a person wears or holds",
     )
 
 
 EDGE_QUANTILE = 0.9
-"""A dim return is from the edge of a pole where it lies farther to the side than this many of the
-bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
-post without tape one in ten does by chance."""
+"""A dim return is from the edge of a pole if it lies farther to the side than this share of the
+bright ones: tape at a grazing angle is dim, and begins where bright tape ends. On a post without
+tape this happens by chance for one in ten."""
 
 
 def surroundings_failure(around: Surroundings) -> Failure | None:
-    """Find what a line is part of; None where it is isolated.
+    """Find the object that a line is part of; None if it is isolated.
 
-    The line is cut into pieces, and in each the returns next to it are weighed against its own. A
-    stripe on a wall has the wall next to it all along. A pole that is held or touched somewhere
-    does not; the stray returns about a bright edge are few; and the wall that a pole leans on
-    passes behind it.
+    The line is cut into pieces, and in each the number of returns next to it is compared with that
+    on it. A stripe on a wall has the wall next to it all along. A pole that is held or touched at
+    some point does not; the stray returns about a bright edge are few; and the wall that a pole
+    leans on passes behind it.
     """
     return (
         retro_clutter(around)
@@ -398,7 +402,7 @@ def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
     """Which of the dim returns (K of M) lie farther to the side than the line's own.
 
     The side is the direction across the line in which the dim returns spread most beyond the
-    others: noise along the beam is in both. So the sensor's place need not be known.
+    others: noise along the beam is in both. So the sensor's position need not be known.
     """
     line, xyz = around.line, around.cloud.xyz
     offsets = [xyz[index] - line.point for index in (line.index, around.near[dim])]
@@ -433,16 +437,16 @@ def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
 
 
 def along_the_sweeps(around: Surroundings) -> Failure | None:
-    """A pole runs across the rings; rings themselves show it better, where the cloud has them."""
+    """A pole runs across the rings; the rings themselves show it better, if the cloud has them."""
     cloud, line = around.cloud, around.line
     if cloud.ring is not None or not runs_along_sweep(cloud.xyz, around.near, line):
         return None
-    reason = f"{len(line.index)} points in the direction in which the beams sweep"
+    reason = f"{len(line.index)} points along the sweep of the beams"
     return Failure("along_a_beam", reason)
 
 
 def _goes_on_without_tape(around: Surroundings) -> Failure | None:
-    """A short pole ends where its tape ends; a sign goes on as its post."""
+    """A short pole ends where its tape ends; a sign continues as its post."""
     if not around.is_short or around.is_thick:
         return None
     line = around.line
@@ -451,14 +455,14 @@ def _goes_on_without_tape(around: Surroundings) -> Failure | None:
     needed = MOST * min(PIECES, SHORT_LENGTH / line.step)
     if max(_pieces_hit(beyond[untaped & (beyond > 0)]) for beyond in (above, below)) < needed:
         return None
-    reason = f"{line.length:.2f} m long, and goes on without tape: a sign on its post"
+    reason = f"{line.length:.2f} m long, and continues without tape: a sign on its post"
     return Failure("goes_on_without_tape", reason)
 
 
 def _pieces_hit(places: Array) -> int:
-    """In how many of `PIECES` equal pieces of the length `SHORT_LENGTH` there is some place."""
+    """Number of the `PIECES` equal pieces of the length `SHORT_LENGTH` that contain a position."""
     return int(np.count_nonzero(np.histogram(places, PIECES, (0.0, SHORT_LENGTH))[0]))
 
 
 def _where(around: Surroundings) -> str:
-    return f"{around.line.tube:.2f} to {around.neighbour_limit:.2f} m beside it"
+    return f"{around.line.tube:.2f} to {around.neighbour_limit:.2f} m next to it"

@@ -183,7 +183,7 @@ def _write(out: str, part: str, outcomes: dict[str, Outcome], drop_others: bool)
 
 
 def how_far(step: str, done: int, count: int, seconds: float) -> str:
-    """Say how far it is, of sites or of their pairs, and how long the rest takes if it goes on."""
+    """Report the progress, in sites or their pairs, and the estimated time for the rest."""
     left = seconds / done * (count - done)
     rest = f", about {quantities.duration(left)} left" if left else ""
     return f"{step}: {done:,} of {count:,}{rest}"

@@ -198,7 +198,9 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     except (KeyError, msgspec.ValidationError) as error:
         raise ReadError(f"{place}: damaged ({said(error)}){AGAIN}") from None
     if len(found) < len(rows) or any(partition_of(each) != partition for each in found):
-        raise ReadError(f"{place}: damaged (a site is there twice, or in another's place){AGAIN}")
+        raise ReadError(
+            f"{place}: damaged (a site appears twice, or in the place of another){AGAIN}"
+        )
     return found
 
 

@@ -308,7 +308,7 @@ def _threads(client: Any) -> int:
         if client.status == "closed" or time.monotonic() > deadline:
             raise RetropoleError(
                 f"the Dask scheduler is gone for {ANSWER_WITHIN:g} s; the partitions that are "
-                "written are whole, and the same command goes on"
+                "written are whole, and the same command continues"
             )
         time.sleep(LOOK)
 
@@ -324,7 +324,7 @@ def _given(client: Any, task: Task) -> Any:
 
 
 def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
-    """Take the outcome of a task; None if it is to be given out again."""
+    """Process the outcome of a task; None if it is to be repeated."""
     from distributed import CancelledError, KilledWorker
     from distributed.comm.core import CommClosedError
 
@@ -337,7 +337,7 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
     except UsageError:
         raise
     except KilledWorker:
-        why = "its workers died, again and again"
+        why = "its workers died repeatedly"
     except (RetropoleError, OSError, MemoryError) as error:
         why = f"its workers cannot work: {quoting(said(error))}"
     except Exception as error:

@@ -149,7 +149,7 @@ def overview_of(out: str, history: str | None = None) -> Overview:
     """
     out = absolute(out)
     if not (partitions := partitions_in(out)):
-        raise ReadError(f"{out}: is no dataset of a fleet: it has no {ANSWERS}/part-….parquet")
+        raise ReadError(f"{out}: is not a dataset of a fleet: it has no {ANSWERS}/part-….parquet")
     sites: list[Seen] = []
     made_by: Counter[str] = Counter()
     for name in partitions:
@@ -181,11 +181,11 @@ def overview_of(out: str, history: str | None = None) -> Overview:
 def _changed(
     out: str, sites: Iterable[Seen], history: str | None
 ) -> tuple[tuple[Changed, ...], tuple[str, ...]]:
-    """Say which sites changed since they were calibrated, and what of the history is damaged."""
+    """Report sites that changed since they were calibrated, and damaged parts of the history."""
     place = below(out, HISTORY) if history is None else absolute(history)
     if not exists(place, as_folder=True):
         if history is not None:
-            raise ReadError(f"{place}: is no history of 'retropole fleet check'")
+            raise ReadError(f"{place}: is not a history of 'retropole fleet check'")
         return (), ()
     by_id = {site.id: site for site in sites}
     changes, damaged = replay(place)

@@ -1,4 +1,4 @@
-"""Put the outcome of a fleet into one HTML file that needs no network."""
+"""Write the outcome of a fleet to one HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -56,51 +56,51 @@ CHANGED = "changed", "Changed since the calibration", "Sites that changed since 
 """Comes before all others: what is in use there is wrong."""
 
 MOVED = (
-    "Do not use its transform any more. See what is loose or was hit, then record the poles and "
+    "Do not use its transform any more. Check what is loose or was hit, then record the poles and "
     "calibrate it again: `retropole fleet calibrate`."
 )
 DISAGREEING = (
-    "See whether something new is in view, or a LiDAR sways. Then record and check it again: "
-    "`retropole fleet check`."
+    "Check whether there is a new object in view, or a LiDAR sways. Then record and check it "
+    "again: `retropole fleet check`."
 )
 OUTDATED = (
-    "It was checked against another calibration than that of this dataset. Check it again: "
+    "It was checked against a calibration other than that of this dataset. Check it again: "
     "`retropole fleet check`."
 )
 """What to do next about a site that changed."""
 
 ERRORS = {
     "unreadable": (
-        "A file is absent, damaged or no recording",
+        "A file is missing, damaged or not a recording",
         "`retropole info FILE` describes a recording.",
     ),
     "usage": (
         "An option or a line of the list is invalid",
-        "Correct what the message names in the list, or in the site file.",
+        "Correct the entry given in the message, in the list or in the site file.",
     ),
     "missing_extra": (
         "A recording needs an extra",
-        "Install on every worker what the message names, then `--retry`.",
+        "Install the extra given in the message on every worker, then `--retry`.",
     ),
     "time_limit": (
         "It took longer than its time limit",
-        "Read fewer frames, or give it longer: `--retry --time-limit SECONDS`.",
+        "Read fewer frames, or allow more time: `--retry --time-limit SECONDS`.",
     ),
     "out_of_memory": (
         "It took more memory than its worker has",
         "Start fewer `--workers`, or set a smaller `max_points` in the list; then `--retry`.",
     ),
     "killed": (
-        "Its process crashed or was ended, again and again",
-        "`--retry` with fewer `--workers`; if that ends so too, a recording is damaged.",
+        "Its process crashed or was ended repeatedly",
+        "`--retry` with fewer `--workers`; if that also fails, a recording is damaged.",
     ),
-    "worker_lost": ("Its workers died, again and again", "Look at the workers, then `--retry`."),
+    "worker_lost": ("Its workers died repeatedly", "Check the workers, then `--retry`."),
     "system": (
         "The worker's disk or system failed",
-        "Make room, or mend what the message names, then `--retry`.",
+        "Free disk space, or repair what the message reports, then `--retry`.",
     ),
     "internal": (
-        "A fault of this program",
+        "An error of this program",
         "Report it, with the message and the files of one such site.",
     ),
 }
@@ -231,7 +231,7 @@ def _when(overview: Overview) -> str:
 
 
 def _counts(overview: Overview) -> Html:
-    """Say how many sites ended how, before all else."""
+    """State how many sites had which outcome, at the top."""
     every = len(overview.sites)
     tiles = []
     for status, count in overview.statuses.items():
@@ -317,7 +317,7 @@ def _reasons(overview: Overview) -> Html:
 
 
 def _dataset(overview: Overview) -> Html:
-    """Say what the page is of."""
+    """State the content of the page."""
     rows = [("dataset", _named(overview)), ("schema", FLEET_SCHEMA)]
     for what, counts in (("made by", overview.made_by), ("done on", overview.hosts)):
         # The ten commonest.
@@ -380,7 +380,7 @@ def _site_text(site: Seen) -> tuple[str, str, str]:
 
 
 def _next(site: Seen) -> Html:
-    """Say what to do next about the first code of a site."""
+    """Advise on the next step for the first code of a site."""
     known = explain(site.codes[0]) if site.codes else None
     if known is not None and known.advice:
         return inline(known.advice[0])
@@ -388,7 +388,7 @@ def _next(site: Seen) -> Html:
 
 
 def _explained(code: str) -> tuple[str, Html]:
-    """Say what a code means, and what to do about it."""
+    """Explain a code, with advice."""
     known = explain(code)
     if known is not None:
         return known.title, inline(" ".join(known.advice))
@@ -500,12 +500,14 @@ def _marks(
 
 
 def _map_text(placed: int, sites: int, view: _View) -> str:
-    """Say what the map shows, also for those who do not see it."""
-    text = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
+    """Describe the map, also for those who do not see it."""
+    text = [
+        f"{quantities.counted(placed, 'site')}. North is at the top; the worst are drawn on top."
+    ]
     if max(view.metres) > FLAT_BELOW:
-        text.append("The scale holds in the middle.")
+        text.append("The scale is valid in the middle.")
     if sites > placed:
         text.append(f"{quantities.counted(sites - placed, 'site')} of unknown position not drawn.")
     if placed > MOST_NAMED:
-        text.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
+        text.append(f"{MOST_NAMED:,} show their names under the pointer, the worst first.")
     return " ".join(text)

@@ -119,7 +119,8 @@ def find_sites(given: Iterable[str], config: RunConfig = DEFAULT_CONFIG) -> tupl
         for site in _sites_of(place, config):
             if site.id in sites:
                 raise ReadError(
-                    f"{place}: the id {site.id!r} is there twice, expected another for each site"
+                    f"{place}: the id {site.id!r} appears twice, expected a different one for "
+                    "each site"
                 )
             sites[site.id] = site
             if len(sites) > MOST_SITES:
@@ -128,7 +129,7 @@ def find_sites(given: Iterable[str], config: RunConfig = DEFAULT_CONFIG) -> tupl
 
 
 def _expanded(given: str) -> list[str]:
-    """Give what a glob matches; a place that is none as it is."""
+    """Give the places that match a glob; a place without a pattern is unchanged."""
     if exists(given) or not any(sign in given for sign in "*?["):
         return [absolute(given)]
     if found := matching(given):
@@ -196,7 +197,7 @@ def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig)
     if names.keys() - {"result"} != expected:
         fault = "expected target and source, or site alone"
     elif kind == "site" and options:
-        fault = f"{', '.join(options)}: of a site, its file says that"
+        fault = f"{', '.join(options)}: for a site, these are given in its file"
     try:
         names = {key: absolute(place) for key, place in names.items()}
     except UsageError as error:
@@ -211,7 +212,7 @@ def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig)
         None if each is None else math.radians(each) for each in msgspec.structs.astuple(position)
     )
     if (latitude is None) != (longitude is None):
-        fault = fault or "latitude_deg and longitude_deg need each other"
+        fault = fault or "latitude_deg and longitude_deg must be given together"
     return FleetSite(
         id=name,
         kind=kind,
@@ -232,7 +233,7 @@ def _time(given: object) -> tuple[str, str]:
         time = given if isinstance(given, datetime) else datetime.fromisoformat(str(given))
         time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
     except (ValueError, OverflowError):
-        return "", f"time: {given!r} is no time (ISO 8601)"
+        return "", f"time: {given!r} is not a time (ISO 8601)"
     if not EARLIEST <= time < LATEST:
-        return "", f"time: {given!r} is no time of a recording"
+        return "", f"time: {given!r} is not the time of a recording"
     return time.isoformat(), ""

@@ -1,4 +1,4 @@
-"""Files on any file system that fsspec knows: local paths, or ``s3://``, ``gs://``, ``memory://``.
+"""Files on any file system of fsspec: local paths, or ``s3://``, ``gs://``, ``memory://``.
 
 A *place* is a path or a URL as text.
 """
@@ -39,7 +39,8 @@ LONGEST_NOTE = 2**12
 
 LOCAL = ("file", "local")
 PROTOCOLS = ("s3", "gs", "abfs", "memory")
-"""Of URLs that are followed: a list that others wrote shall not make a worker connect anywhere."""
+"""Protocols of URLs that are followed: a list from another source must not make a worker connect
+anywhere."""
 
 _others: ContextVar[tuple[str, ...]] = ContextVar("_others", default=())
 
@@ -65,9 +66,10 @@ def filesystem(place: str) -> tuple[Any, str]:
     Raises
     ------
     MissingExtraError
-        Where fsspec is not installed.
+        If fsspec is not installed.
     UsageError
-        Where URLs of this protocol are not followed, or fsspec lacks what it needs for them.
+        If URLs of this protocol are not followed, or a package that fsspec needs for them is
+        missing.
     """
     try:
         from fsspec.core import url_to_fs
@@ -90,8 +92,8 @@ def _check_protocol(url: str) -> None:
     """Refuse a URL that is not to be followed; of a chain (zip::ftp://…) any part connects."""
     if "::" in url or url.partition("://")[0] not in (*PROTOCOLS, *other_protocols()):
         raise UsageError(
-            f"{url}: expected a path, or a URL of {', '.join(PROTOCOLS)}; --protocol adds one of "
-            "fsspec's others, chains (::) are never followed"
+            f"{url}: expected a path, or a URL of {', '.join(PROTOCOLS)}; --protocol adds "
+            "another one of fsspec, chains (::) are never followed"
         )
 
 
@@ -102,7 +104,7 @@ def is_url(place: str) -> bool:
 
 
 def absolute(place: str) -> str:
-    """Write a local path whole, as workers in other folders need it; a URL as it is.
+    """Write a local path in full, as workers in other folders need it; a URL unchanged.
 
     Raises
     ------
@@ -116,7 +118,7 @@ def absolute(place: str) -> str:
 
 
 def below(folder: str, *names: str) -> str:
-    """Join a folder and names in it; a name that is whole stays as it is."""
+    """Join a folder and names in it; an absolute name is kept."""
     return reduce(_below, names, folder)
 
 
@@ -138,7 +140,7 @@ def folder_of(place: str) -> str:
 
 
 def exists(place: str, *, as_folder: bool = False) -> bool:
-    """Whether there is a file or a folder, or a folder alone.
+    """Whether there is a file or a folder, or only a folder.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def exists(place: str, *, as_folder: bool = False) -> bool:
 
 @contextmanager
 def _file_system(place: str, fault: str) -> Iterator[tuple[Any, str]]:
-    """Open the file system of a place; of whatever it raises say where, and what cannot be done."""
+    """Open the file system of a place; add the place and the failed action to its errors."""
     system, path = filesystem(place)
     try:
         yield system, path
@@ -175,7 +177,7 @@ def _changed(place: str) -> Iterator[tuple[Any, str]]:
 
 
 def _why(error: Exception) -> str:
-    """Say what is wrong; of what is not there, stores name only an internal address."""
+    """Describe the error; for missing files, stores give only an internal address."""
     if isinstance(error, FileNotFoundError):
         return os.strerror(errno.ENOENT)
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -195,7 +197,7 @@ def found_below(folder: str) -> list[str]:
 
 
 def matching(pattern: str) -> list[str]:
-    """Give the places that a glob matches, in order.
+    """Give the places that match a glob, in order.
 
     Raises
     ------
@@ -206,14 +208,14 @@ def matching(pattern: str) -> list[str]:
         found = sorted(system.glob(path))
     if not is_url(pattern):
         return found
-    # What the pattern begins with, a host or an account too, is not all in the paths there.
+    # The begin of the pattern, such as a host or an account, is not always contained in the paths.
     fixed = re.split(r"[*?[]", path, maxsplit=1)[0]
     start = pattern.rstrip("/").removesuffix(path[len(fixed) :])
     return [start + each.removeprefix(fixed) for each in found]
 
 
 def names_in(folder: str) -> list[str]:
-    """Name the files of a folder, in order; none where there is no folder.
+    """Name the files of a folder, in order; none if there is no folder.
 
     Raises
     ------
@@ -230,7 +232,7 @@ def names_in(folder: str) -> list[str]:
 
 
 def written(place: str) -> datetime:
-    """Give when a file, or the last file of a folder, was written; UTC, to the second.
+    """Give the time at which a file, or the last file of a folder, was written; UTC, to the second.
 
     Raises
     ------
@@ -250,7 +252,7 @@ def open_file(place: str, most: int = LARGEST_LIST) -> Iterator[Any]:
     Raises
     ------
     ReadError
-        If it cannot be read, or is longer than one would be.
+        If it cannot be read, or is too long.
     """
     with _file_system(place, "cannot be read") as (system, path):
         if not is_url(place):
@@ -275,7 +277,7 @@ def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
 
 
 def write_bytes(place: str, data: bytes) -> None:
-    """Write a file whole or not at all, and make its folder where there is none.
+    """Write a file completely or not at all, and make its folder if there is none.
 
     An object store puts an object whole; on the local system the file is renamed into its place,
     and a pipe or a device is written to.

@@ -150,7 +150,7 @@ def _check_columns(place: str, names: Sequence[str], columns: Sequence[str], nee
         raise ReadError(f"{place}: no column {needed!r}")
     for name in set(names):
         if list(names).count(name) > 1:
-            raise ReadError(f"{place}: the column {name!r} is there twice")
+            raise ReadError(f"{place}: the column {name!r} appears twice")
 
 
 def _csv(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:

@@ -213,7 +213,7 @@ def unanswered(
 
 
 def _run(row: Row, seconds: float, steps: Mapping[str, float], memory: int) -> Run:
-    """Say how a row came about that is done now."""
+    """Describe how the present row was made."""
     started = datetime.now(UTC) - timedelta(seconds=seconds)
     return Run(
         id=row.id,
@@ -367,7 +367,7 @@ class LocalFiles:
             if posixpath.isabs(inside) or inside.split("/")[0] == ".." or "\\" in name:
                 raise ReadError(
                     f"{given}: lidar {lidar}: {name}: the files of a site file at a URL "
-                    "must lie in its folder or below"
+                    "must be in its folder or below"
                 )
             place = below(folder_of(given), inside)
             if not path.exists():

@@ -78,7 +78,7 @@ def inside(xyz: Array, box: Array) -> BoolArray:
 
 
 def usual_view(sweeps: Iterable[PointCloud]) -> Array:
-    """Say how far a LiDAR at rest usually sees in each direction, (E, A) metres.
+    """Find how far a LiDAR at rest usually sees in each direction, (E, A) metres.
 
     By half of the sweeps that saw anything there; infinite where none did. See `is_static`.
     """
@@ -129,7 +129,7 @@ def cell_keys(xyz: Array, size: float, anchor: IntArray, lidar: IntArray | int =
     if len(cells) and np.abs(cells).max() >= HALF:
         raise UsageError(
             f"a point lies {np.abs(cells).max() * size:,.0f} m from the first ones, with cells of "
-            f"{size:g} m at most {HALF * size:,.0f} m are possible: take larger ones, or --crop"
+            f"{size:g} m at most {HALF * size:,.0f} m are possible: use larger ones, or --crop"
         )
     key = np.zeros(len(cells), np.int64)
     for axis in range(3):

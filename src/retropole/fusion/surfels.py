@@ -346,7 +346,7 @@ def surface_distances(moments: Moments, origins: Array, up: Array) -> Iterator[S
             shared, a, b = np.intersect1d(rows[i], rows[j], return_indices=True)
             both = fits[i].flat[a] & fits[j].flat[b]
             first, second = _some(fits[i], a[both]), _some(fits[j], b[both])
-            found = _apart(middles[shared[both]], first, second, moments.size)
+            found = _plane_distances(middles[shared[both]], first, second, moments.size)
             if len(found[0]):
                 parts.setdefault((i, j), []).append(found)
     for (i, j), blocks in sorted(parts.items()):
@@ -361,7 +361,9 @@ def _some(fit: _Fit, rows: IntArray) -> _Fit:
     return _Fit(*(getattr(fit, field.name)[rows] for field in fields(fit)))
 
 
-def _apart(middles: Array, first: _Fit, second: _Fit, size: float) -> tuple[Array, Array, Array]:
+def _plane_distances(
+    middles: Array, first: _Fit, second: _Fit, size: float
+) -> tuple[Array, Array, Array]:
     """Compare the planes of two LiDARs in cells (C): centres, normals and distances of those that
     are of one surface.
     """
@@ -427,7 +429,8 @@ def distances(apart: Iterable[SurfaceDistance]) -> list[Distance]:
 
 
 def in_words(found: Sequence[Distance], names: Sequence[str]) -> list[str]:
-    """Say it in a line for each pair: ``front–rear: ground 3 mm apart (120 surfels, 4.1 m²)``."""
+    """Describe it in a line for each pair: ``front–rear: ground 3 mm apart (120 surfels, 4.1
+    m²)``."""
     lines: dict[tuple[int, int], list[str]] = {}
     for each in found:
         lines.setdefault(each.lidars, []).append(

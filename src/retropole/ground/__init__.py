@@ -1,1 +1,1 @@
-"""The ground below LiDARs: which returns are of it, and where they are over it."""
+"""The ground below LiDARs: its returns, and the poses of the LiDARs over it."""

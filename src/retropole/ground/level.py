@@ -8,15 +8,15 @@ LiDAR separately, are one linear Gaussian model::
     z = a + b x + c y + g(x, y) − D e − J δ + noise
 
 with the errors e of the LiDARs (`base.systematic`), those δ of their poses, and the shape g of the
-ground: a profile that is the same all along a road, and what differs from place to place. Both are
-random fields of Matérn's kind (ν = 3/2: they may have kinks, as the crown of a road). Sizes and
-lengths, the direction of the road and the noise of cells are found, and averaged over, by their
+ground: a profile that is constant along a road, and a part that varies from place to place. Both
+are random fields of Matérn's kind (ν = 3/2: they may have kinks, as the crown of a road). Sizes and
+lengths, the direction of the road and the noise of cells are searched, and averaged over by their
 likelihood. The plane of the disc is a linear function of a, b, c and g, so its mean and covariance
-are those of a regression (Rasmussen and Williams 2006, 2.7), with what g may be where nothing is
-seen.
+are those of a regression (Rasmussen and Williams 2006, 2.7), including the uncertainty of g where
+nothing is seen.
 
-The poses are left as they were given, so that the LiDARs stay to each other as they were
-calibrated; the covariance is that of this estimate.
+The given poses are not changed, so that the calibration between the LiDARs is kept;
+the covariance is that of this estimate.
 """
 
 from __future__ import annotations
@@ -45,52 +45,54 @@ from .steps import Level
 from .surface import Ground, Viewer, find_ground, level_axes, little
 
 DISC = 10.0
-"""Radius of the disc that the plane is for, metres: LiDARs on vehicles see about half of it."""
+"""Radius of the disc to which the plane is fitted, metres: LiDARs on vehicles see about half of
+it."""
 
 CELLS = 10
 """Cells to a radius of the disc."""
 
 MOST_CELLS, TRIED_CELLS = 600, 250
-"""Cells that are used, and those by which size and length of the shape are found."""
+"""Number of cells that are used, and of those used to find size and length of the shape."""
 
 PROFILES = ((0.0, 1.0), *product((0.01, 0.05, 0.2), (0.15, 0.5, 1.5)))
 """Sizes of the profile, 1 σ in metres, and lengths as parts of the radius, that are tried: none,
 and from a worn road to one between verges."""
 
 SHAPES = tuple(product((0.0005, 0.003, 0.015), (0.3, 1.0)))
-"""The same of what differs from place to place: from a hall's floor to a meadow."""
+"""The same for the part that varies from place to place: from a hall's floor to a meadow."""
 
 USUAL = (0.05, 0.5, 0.003, 0.3, 0.003)
-"""Of profile, shape and noise, where the direction of the road is looked for."""
+"""Values for profile, shape and noise in the search for the direction of the road."""
 
 DIRECTIONS, TURNS = 18, (4.0, 1.5, 0.5)
-"""Directions of the road that are tried, over half a turn, and by how much the best is turned to
-both sides then, degrees: over 10 m, 0.5° are 9 cm."""
+"""Directions of the road that are tried, over half a turn, and the rotation of the best to
+both sides afterwards, degrees: over 10 m, 0.5° are 9 cm."""
 
 NOISES = (0.001, 0.003, 0.01)
 """1 σ of the mean height of a cell, metres, in addition to the noise of ranges: of asphalt to
 grass."""
 
 LEAST_FALL = 0.02
-"""Beams fall by this part of their length at least, where they are counted by where they hit the
-plane: farther away the ground may rise towards them."""
+"""Minimum fall of beams, as a part of their length, if they are assigned to cells by their
+intersection with the plane: farther away the ground may rise towards them."""
 
 PLANE_SIGMA = (1.0, 0.3, 0.3)
-"""1 σ of the height, metres, and of both slopes against the rough axes: as good as not known."""
+"""1 σ of the height, metres, and of both slopes against the rough axes: practically unknown."""
 
 MIN_WEIGHT = 0.03
 """Sizes and lengths less likely than this part of the likeliest are left out."""
 
 MIN_AREA, MIN_SPREAD, MIN_PART = 8.0, 0.5, 0.08
-"""Least ground that must be seen in the disc, m², and its root mean square distance from a line, in
-metres, that of a strip 1.7 m wide, and as a part of the radius: of the whole disc it is a half."""
+"""Minimum area of ground that must be seen in the disc, m², and its minimum root mean square
+distance from a line: in metres, that of a strip 1.7 m wide, and as a part of the radius, which is
+a half for the whole disc."""
 
 WIDER = (1.0, 1.5, 2.25, 3.4)
-"""Where too little of the disc is seen, discs this many times as large are used: 6 m high on a mast
+"""If too little of the disc is seen, discs this many times as large are used: 6 m high on a mast
 a LiDAR whose lowest ring is at −15° sees no ground within 22 m."""
 
 MAX_TILT_SIGMA, MAX_HEIGHT_SIGMA = float(np.radians(0.6)), 0.12
-"""What is not known better, rad and m, is no answer."""
+"""An answer with larger 1 σ, rad and m, is refused."""
 
 ROUNDS, CONVERGED = 3, 0.001
 """The rough axes are those of the plane after at most this many rounds; they are where they are not
@@ -102,7 +104,7 @@ JACOBIAN_STEP = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Mean returns of the ground in cells, of each LiDAR its own.
+    """Mean returns of the ground in cells, separate for each LiDAR.
 
     Attributes
     ----------
@@ -137,8 +139,8 @@ class LidarLevel:
     T_ground_lidar
         (4, 4) pose in the frame of the ground.
     covariance
-        (6, 6) over ``[φ, δ]``, rad and m, axes of the ground. What the definition of the frame
-        fixes has no variance.
+        (6, 6) over ``[φ, δ]``, rad and m, axes of the ground. Parameters fixed by the definition
+        of the frame have no variance.
     roll, pitch, height
         Of the rotation (`se3.rpy_from_rotation`), rad, and of its origin over the plane, metres.
     roll_pitch_height
@@ -170,8 +172,8 @@ class Leveled:
     centre, radius, area, spread, others, ceiling
         As in `surface.Ground`.
     bend, bend_sigma
-        How far the ground's edge lies below its middle, along the direction in which it is bent
-        most, metres, within the disc; negative where it is hollow.
+        Depth of the ground's edge below its middle, along the direction of the largest bend,
+        metres, within the disc; negative if it is hollow.
     roughness
         Root mean square of the cells about the plane, metres.
     cells, residuals
@@ -211,13 +213,14 @@ def level(
         (6 L, 6 L) covariance of all poses over ``[φ, δ]`` of each, rad and m, axes of the frame;
         None if they are exact, as that of a single LiDAR.
     radius
-        Of the disc that the plane is for, metres; None takes `DISC`, or a larger one of `WIDER`.
+        Of the disc to which the plane is fitted, metres; None uses `DISC`, or a larger one of
+        `WIDER`.
 
     Raises
     ------
     Refusal
-        ``too_little_ground`` where less than `MIN_AREA` is seen, or a strip, or so far away that
-        nothing is known of the ground below; ``two_grounds`` as `find_ground`.
+        ``too_little_ground`` if less than `MIN_AREA` is seen, or only a strip, or only ground too
+        far away to determine the ground below; ``two_grounds`` as `find_ground`.
     """
     count = 6 * len(viewers)
     joint = np.zeros((count, count)) if poses is None else poses
@@ -236,8 +239,8 @@ def level(
     if tilt > MAX_TILT_SIGMA or height > MAX_HEIGHT_SIGMA:
         raise Refusal(
             "too_little_ground",
-            f"the {ground.area:.0f} m² of ground that are seen leave its tilt open by "
-            f"± {np.degrees(tilt):.2g}° and its height by ± {height:.2g} m within "
+            f"the {ground.area:.0f} m² of visible ground determine its tilt only to "
+            f"± {np.degrees(tilt):.2g}° and its height to ± {height:.2g} m within "
             f"{ground.radius:.0f} m (1 σ)",
             {"area_m2": ground.area, "tilt_rad": float(tilt), "height_m": float(height)},
         )
@@ -264,7 +267,7 @@ def level(
 
 
 def _enough(viewers: Sequence[Viewer], radii: Sequence[float]) -> tuple[Ground, float]:
-    """Take the first disc of which enough is seen, and its radius as given, metres."""
+    """Choose the first disc of which enough is seen, and its radius as given, metres."""
     refusal = None
     for radius in radii:
         try:
@@ -304,7 +307,7 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
         by_pose[:, 6 * k + 3 : 6 * k + 6] = -up
         by_poses.append(by_pose)
         at.append(se3.apply(ground.T_rough_frame @ viewer.T, part.means))
-        # Returns scatter by the range, as their beams do, and as they are dimmer.
+        # The scatter of returns grows with the range, since beams widen and returns are dimmer.
         square = np.sum((part.means - viewer.cloud.origin) ** 2, axis=1)
         share = np.average(part.scatter, weights=part.returns) if len(square) else 0.0
         share /= max(np.average(square, weights=part.returns) if len(square) else 1.0, 1e-9)
@@ -326,8 +329,8 @@ def cells_on(ground: Ground, viewers: Sequence[Viewer]) -> Cells:
 
 
 class _LidarCells(NamedTuple):
-    """Mean returns (n, 3) of one LiDAR, own frame, how many (n,), the mean square of their heights
-    about the mean (n,), m², and (n, B) shares of the bands."""
+    """Mean returns (n, 3) of one LiDAR, own frame, their number (n,), the mean square of their
+    heights about the mean (n,), m², and (n, B) shares of the bands."""
 
     means: Array
     returns: Array
@@ -337,7 +340,7 @@ class _LidarCells(NamedTuple):
 
 def _lidar_cells(viewer: Viewer, index: IntArray, rough: Array, side: float) -> _LidarCells:
     xyz = viewer.cloud.xyz[index]
-    # By where the beams hit the plane: by the points, noise would choose the cell.
+    # By the intersections of beams with the plane: by the points, noise would decide on the cell.
     T = rough @ viewer.T
     start, beams = (
         se3.apply(T, viewer.cloud.origin[None])[0],
@@ -411,7 +414,7 @@ class Plane(NamedTuple):
 def plane_of(cells: Cells, poses: Array, centre: Array, radius: float, beside: Array) -> Plane:
     """Find the plane of a disc from the cells; `poses` (6 L, 6 L) as `level` takes it.
 
-    What is nearer to another level, `beside` (n, 2), than to the cells is none of the disc.
+    Places nearer to another level, `beside` (n, 2), than to the cells are not part of the disc.
     """
     x, y, z = cells.at.T
     planes = np.stack([np.ones_like(x), x, y], axis=1)
@@ -457,7 +460,8 @@ _Some = tuple[Array, Array, Array, Array]
 
 
 def _log_likelihood(some: _Some, each: Array, road: float, radius: float) -> float:
-    """Of a profile's size and length, a shape's, and noise (5,), but for a constant."""
+    """Log-likelihood of a profile's size and length, a shape's, and noise (5,), up to a
+    constant."""
     at, z, known, variance = some
     S = known + _shape(at, at, each, road, radius)
     S[np.diag_indices_from(S)] += variance + each[4] ** 2
@@ -513,7 +517,7 @@ def _functionals(disc: Array) -> Array:
 
 
 def _bend(terms: Array, covariance: Array, radius: float) -> tuple[float, float]:
-    """How far the edge of the disc lies below its middle, metres, where most, and 1 σ."""
+    """Largest depth of the edge of the disc below its middle, metres, and 1 σ."""
     values, vectors = np.linalg.eigh(np.array([[terms[0], terms[1] / 2], [terms[1] / 2, terms[2]]]))
     v = vectors[:, np.argmax(np.abs(values))]
     along = -(radius**2) * np.array([v[0] ** 2, v[0] * v[1], v[1] ** 2])
@@ -530,7 +534,7 @@ def ground_frame(plane: Array, T_rough_frame: Array) -> Array:
 
 
 def _over(plane: Array, rough: Array, viewer: Viewer, covariance: Array) -> LidarLevel:
-    """Where a LiDAR is over a plane; the covariance (9, 9) is of the plane and its pose."""
+    """Pose of a LiDAR over a plane; the covariance (9, 9) is of the plane and its pose."""
 
     def pose(state: Array) -> Array:
         return ground_frame(plane + state[:3], rough) @ se3.retract(viewer.T, state[3:])
@@ -543,7 +547,8 @@ def _over(plane: Array, rough: Array, viewer: Viewer, covariance: Array) -> Lida
     J = np.stack([se3.local(b, a) for a, b in moved], axis=1) / (2 * JACOBIAN_STEP)
     own = np.stack([_turn(angles(a) - angles(b)) for a, b in moved], axis=1) / (2 * JACOBIAN_STEP)
     whole = J @ covariance @ J.T
-    # Differences leave a rounding where the definition fixes the frame.
+    # Numerical differences leave rounding errors in parameters fixed by the definition of the
+    # frame.
     fixed = np.diag(whole) < 1e-18
     whole[fixed] = whole[:, fixed] = 0.0
     roll, pitch, height = angles(T)

@@ -1,10 +1,10 @@
-"""Levels of the ground: squares without a step between them, and which level is below the LiDARs.
+"""Levels of the ground: squares without a step between them, and the level below the LiDARs.
 
 Neighbouring squares whose heights hardly differ make pieces; pieces on one smooth surface make a
 level. A road and the pavement behind its kerb are two levels; the roofs of cars are others. The
-ground is the level that lies on all sides of the foot of the LiDARs nearest to it. Where another is
-next to it, a step higher or lower, the squares of both are split anew, by two parallel planes, and
-it is seen along the step which of them the foot is on: a kerb is a line.
+ground is the level that surrounds the foot of the LiDARs at the smallest distance. If another is
+next to it, a step higher or lower, the squares of both are split again, by two parallel planes,
+and the line of the step shows on which of them the foot is: a kerb is a line.
 """
 
 from __future__ import annotations
@@ -30,43 +30,43 @@ STEP, SLOPE = 0.03, 0.04
 of their distance, to 0.07 m a metre away: less than a kerb, more than a road's camber."""
 
 REACH = 2
-"""Squares so far from each other along both axes are neighbours: between two rings some are
+"""Largest distance of neighbouring squares along both axes: between two rings some are
 empty."""
 
 MIN_PIECE = 4
 """Pieces of fewer squares are left out: 1 m²."""
 
 EDGE, SIDE = 0.05, 3
-"""Where the ground on both sides of a square, this many squares of each, continues to heights there
-that differ by more, metres, is a step. A kerb of 0.08 m makes 0.06 m where a ring crosses it at
-45°, a change of the slope by 10 %, 0.04 m."""
+"""A square is on a step if the ground on both sides, extrapolated from this many squares
+each, differs there in height by more, metres. A kerb of 0.08 m makes 0.06 m where a ring crosses
+it at 45°, a change of the slope by 10 %, 0.04 m."""
 
 CLOSED = 1
-"""Gaps of up to twice this many squares in the line of a step are closed: few rings show it whole.
-Two kerbs at 3 m distance stay two."""
+"""Gaps of up to twice this many squares in the line of a step are closed: few rings show it
+completely. Two kerbs at 3 m distance stay two."""
 
 SEPARATION, DIFFERENT = 4, 0.06
-"""Pieces that are within this many squares of each other are different levels where their heights
-there differ by more, metres, in the middle."""
+"""Pieces that are within this many squares of each other are different levels if the median
+difference of their heights there is larger, metres."""
 
 SAME_LEVEL = 0.06
-"""A piece is of a level where the middle of its heights is so near its surface, metres."""
+"""A piece belongs to a level if the median of its heights is this near to its surface, metres."""
 
 RIDGE = 10.0
 """Weight with which a level is kept parallel to the rough axes, cells times m²."""
 
 SPLIT, PARTING_ROUNDS = 0.2, 20
-"""Two levels are distinguished in one piece where both together are this thin, root mean square,
-as a part of the step between them; and rounds of parting it."""
+"""Two levels are distinguished in one piece if their combined thickness, root mean square, is
+below this part of the step between them; and rounds of splitting it."""
 
 LEAST_SPLIT = 80
-"""Pieces of more squares may be of two levels: 10 m² of each."""
+"""Pieces of more squares may consist of two levels: 10 m² of each."""
 
 LEAST_SHARE = 0.05
 """Least share of the smaller of them."""
 
 MOST_LEVELS = 6
-"""Number of the largest pieces that are tried for a beginning of the ground."""
+"""Number of the largest pieces that are tried as a start of the ground."""
 
 KERB, PARALLEL = (0.05, 0.5), 0.04
 """A level higher or lower by this much, metres, and parallel, root mean square, may be the ground
@@ -112,7 +112,7 @@ class Level:
 
 
 def at_steps(heights: Array) -> BoolArray:
-    """(n, m) at which cells the ground on both sides does not continue to the same height."""
+    """(n, m) cells at which the ground on both sides does not continue to the same height."""
     edge = np.zeros(heights.shape, dtype=bool)
 
     def moved(grid: Array, i: int, j: int) -> Array:
@@ -139,7 +139,7 @@ def _pairs(at: Array, reach: int) -> IntArray:
 
 
 def _pieces(at: Array) -> IntArray:
-    """(N,) number of the piece that each cell (N, 3) is of."""
+    """(N,) number of the piece to which each cell (N, 3) belongs."""
     pairs = _pairs(at, REACH)
     a, b = at[pairs].swapaxes(0, 1)
     a, b = pairs[np.abs(a - b)[:, 2] < STEP + SLOPE * np.hypot(*(a - b)[:, :2].T)].T
@@ -163,8 +163,8 @@ def _conflicts(at: Array, z: Array, pieces: IntArray) -> BoolArray:
 
 
 class _Grown(NamedTuple):
-    """A level: its cells (N,), its heights everywhere, how much view it fills, and within how many
-    metres it is on all sides of the foot."""
+    """A level: its cells (N,), its heights everywhere, the part of the view that it fills, and the
+    distance, metres, within which it is on all sides of the foot."""
 
     on: BoolArray
     heights: Array
@@ -173,14 +173,14 @@ class _Grown(NamedTuple):
 
 
 def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level, ...]]:
-    """Find which cells are ground, and what is next to it.
+    """Find the cells of the ground, and the levels next to it.
 
     Parameters
     ----------
     at
         (N, 3) middles of the cells, the foot of the LiDARs at 0.
     radius
-        Of the disc that is of interest, metres.
+        Of the disc of interest, metres.
 
     Returns
     -------
@@ -215,7 +215,8 @@ def levels(at: Array, radius: float) -> tuple[BoolArray, BoolArray, tuple[Level,
         found.append(_Grown(on, surface, weight[on].sum(), min(within, default=np.inf)))
     if not found:
         return none, none, ()
-    # The ground is what lies about the foot nearest to it; else what fills most of the view.
+    # The ground is the level around the foot at the smallest distance; else the one that fills
+    # most of the view.
     best, *rest = sorted(found, key=lambda level: (level.around, -level.weight))
     on, left, others = best.on, none, list[Level]()
     for level in rest:
@@ -243,7 +244,7 @@ def _level(over: Array, on: BoolArray) -> Level:
 def _along_kerb(
     at: Array, best: _Grown, level: _Grown, over: Array, other: Level
 ) -> tuple[BoolArray, BoolArray] | None:
-    """Which cells (N,) are ground, and which of the level a step from it; None if no kerb is.
+    """Which cells (N,) are ground, and which are of the level a step from it; None without a kerb.
 
     `best` and `level` are a first guess; heights (N,) are over a plane without lean.
     """
@@ -263,7 +264,7 @@ def _along_kerb(
             raise Refusal(
                 "two_grounds",
                 f"two levels are seen, the other {100 * other.height:+.0f} cm higher on "
-                f"{other.area:.0f} m²: which of them is below the LiDARs is not seen",
+                f"{other.area:.0f} m²: which of them is below the LiDARs cannot be seen",
                 {"height_m": other.height, "area_m2": other.area},
             )
         if not is_step:
@@ -273,7 +274,7 @@ def _along_kerb(
 
 
 def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
-    """Whether two levels differ as much where they are nearest as on average, unlike a slope."""
+    """Whether two levels differ as much at their nearest squares as on average, unlike a slope."""
     away, nearest = cKDTree(at[upper, :2]).query(at[lower, :2])
     near = np.argsort(away)[:PAIRS]
     near = near[away[near] < FARTHEST]
@@ -287,7 +288,8 @@ def _is_step(at: Array, lower: BoolArray, upper: BoolArray) -> bool:
 def _below(at: Array, lower: BoolArray, upper: BoolArray) -> bool | None:
     """Whether the upper of two levels is below the middle of places (N, 2); None if not known.
 
-    A kerb is a line: what is seen along it, in the strip that the middle lies in, goes on below.
+    A kerb is a line: the levels seen along it, in the strip that contains the middle, continue
+    there.
     """
     mixed, here = [], []
     for turn in np.arange(STRIP_TURNS) * np.pi / STRIP_TURNS:
@@ -316,7 +318,7 @@ def is_around(at: Array) -> bool:
 def _grown(
     at: Array, pieces: IntArray, begin: int, heavy: Array, conflicts: BoolArray
 ) -> tuple[BoolArray, Array]:
-    """Which cells are of the level that a piece is of, and its heights everywhere."""
+    """Which cells belong to the level of a piece, and its heights everywhere."""
     taken, on = [begin], pieces == begin
     for number in [int(k) for k in np.argsort(-heavy) if heavy[k] and k != begin]:
         if conflicts[number, taken].any():
@@ -340,9 +342,9 @@ def _split(
 ) -> tuple[BoolArray, BoolArray] | None:
     """Which cells (N, 3) are of the lower and the upper of two parallel levels; None of one.
 
-    Where rings are far from each other, one that climbs along the face of a kerb links road and
-    pavement. What lies between the levels is of none. From the guesses (N,) of the upper the best
-    is found.
+    If rings are far from each other, one that climbs along the face of a kerb links road
+    and pavement. Cells between the levels belong to none. From the guesses (N,) of the upper the
+    best is found.
     """
     own = at[both]
     table, found = np.c_[np.ones(len(own)), own[:, :2]], []

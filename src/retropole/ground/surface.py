@@ -1,7 +1,7 @@
-"""Which returns are of the ground: one surface without steps, below the LiDARs.
+"""The returns of the ground: one surface without steps, below the LiDARs.
 
 A plane that most returns lie on gives rough axes. In squares of `CELL` that are flat, heights are
-known; `steps` finds which of them are one level, and the ground is the returns near that.
+known; `steps` finds the squares of one level, and the ground is formed by the returns near it.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ FLAT = 0.06
 kerb, 0.08 m, and as much as noise of 1 cm on a slope of 6 % makes."""
 
 MIN_RETURNS = 3
-"""Fewer returns show no square of ground: one may lie on the face of a kerb."""
+"""Minimum number of returns in a square of ground: single ones may be on the face of a kerb."""
 
 MARGIN = 2
-"""Squares so near to those of another level are left out: returns may be on a kerb's face."""
+"""Squares this near to those of another level are left out: returns may be on the face of a
+kerb."""
 
 MIN_CLEAR = 0.1
-"""LiDARs are at least so high above the ground, metres."""
+"""Minimum height of LiDARs above the ground, metres."""
 
 OTHER_SIDE = 3.0
 """A plane on the side of the LiDAR's −z axis is the ground, unless there are this many times as
@@ -55,7 +56,7 @@ class Viewer:
     Attributes
     ----------
     name, cloud, sizes
-        What it is called, what it recorded in its own frame, and what its errors may be.
+        Its name, its recording in its own frame, and the sizes of its errors.
     T
         (4, 4) its pose in the frame of all.
     """
@@ -67,7 +68,7 @@ class Viewer:
 
     @property
     def origin(self) -> Array:
-        """(3,) where its beams start, in the frame of all."""
+        """(3,) beam origin, in the frame of all."""
         return np.asarray(se3.apply(self.T, self.cloud.origin[None])[0])
 
 
@@ -80,10 +81,11 @@ class Ground:
     T_rough_frame
         (4, 4) rough axes: z up, the origin on the ground in the middle below the LiDARs.
     points
-        Of each LiDAR the index of its returns on the ground.
+        For each LiDAR the index of its returns on the ground.
     centre, radius
-        (2,) of the disc that the plane is for, rough axes, and its radius, metres: about the foot
-        of the LiDARs; where none sees ground on all sides of it, about the middle of what is seen.
+        (2,) of the disc to which the plane is fitted, rough axes, and its radius, metres: about the
+        foot of the LiDARs; if none sees ground on all sides of it, about the middle of the visible
+        ground.
     area
         Of the squares of ground that are seen in the disc, m².
     spread
@@ -93,7 +95,7 @@ class Ground:
     others
         Levels next to it, the largest first.
     ceiling
-        Height of a plane above the LiDAR that was taken for no ground, metres; None without.
+        Height of a plane above the LiDAR that was not treated as ground, metres; None without.
     """
 
     T_rough_frame: Array
@@ -117,7 +119,7 @@ def find_ground(
     viewers
         The LiDARs, in one frame; their clouds are averages of sweeps (`averaged`).
     radius
-        Of the disc below each that is of interest, metres.
+        Of the disc of interest below each, metres.
     axes
         (4, 4) rough axes and the height of a ceiling, where they are known.
 
@@ -166,7 +168,7 @@ def find_ground(
 
 
 def little(area: float, spread: float, radius: float) -> Refusal:
-    """Say that too little ground is seen: m², metres."""
+    """Report that too little ground is seen: m², metres."""
     return Refusal(
         "too_little_ground",
         f"{area:.1f} m² of ground are seen within {radius:.0f} m, {spread:.1f} m wide (root "
@@ -176,7 +178,7 @@ def little(area: float, spread: float, radius: float) -> Refusal:
 
 
 def _rough_axes(viewers: Sequence[Viewer]) -> tuple[Array, float | None]:
-    """(4, 4) rough axes on the plane that most is on, and how high a ceiling is, or None."""
+    """(4, 4) rough axes on the plane with most returns, and the height of a ceiling, or None."""
     first = viewers[0]
     axis = first.T[:3, :3] @ first.cloud.axis
     points = np.concatenate([se3.apply(v.T, voxel_downsample(v.cloud.xyz, VOXEL)) for v in viewers])
@@ -199,7 +201,7 @@ def _rough_axes(viewers: Sequence[Viewer]) -> tuple[Array, float | None]:
     if not below and not above:
         raise Refusal(
             "too_little_ground",
-            f"no plane is within {np.degrees(MAX_TILT):.0f}° of level to the LiDAR {first.name}",
+            f"no plane is within {np.degrees(MAX_TILT):.0f}° of level for the LiDAR {first.name}",
             {"area_m2": 0.0},
         )
     if above > OTHER_SIDE * below:
@@ -210,7 +212,7 @@ def _rough_axes(viewers: Sequence[Viewer]) -> tuple[Array, float | None]:
 def level_axes(up: Array) -> Array:
     """(3, 3) rows x, y, z, in a frame: z up (3,), and x that of the frame projected to the ground.
 
-    Where that is upright, what is at right angles to the frame's y is taken for it.
+    If that is vertical, the direction at right angles to the frame's y is used.
     """
     x = np.array([1.0, 0.0, 0.0]) - up[0] * up
     if np.linalg.norm(x) < UPRIGHT:
@@ -220,7 +222,7 @@ def level_axes(up: Array) -> Array:
 
 
 def cells_of(points: Array, side: float) -> tuple[Array, Array, IntArray, Array]:
-    """Bottom and top of what was recorded in each cell, how much, and the corner (2,) of all.
+    """Bottom and top of the returns in each cell, their number, and the corner (2,) of all.
 
     Bottom and top are quantiles of the heights of points (N, 3); infinite in empty cells.
     """
@@ -243,7 +245,7 @@ def _wide(heights: Array, beside: tuple[IntArray, ...]) -> Array:
     """(n, m) heights of the ground, continued by a cell; cells of another level are at `beside`.
 
     Noise along the beams puts returns into the next cell: without them the others would be biased.
-    At a step the returns on its face would be taken with them: there it is not continued, but ends
+    At a step the returns on its face would be included: there it is not continued, but ends
     before it.
     """
     known, square = np.isfinite(heights), np.ones((3, 3))
@@ -260,7 +262,7 @@ def _wide(heights: Array, beside: tuple[IntArray, ...]) -> Array:
 
 
 def _is_near(points: Array, heights: Array, corner: Array, thick: float) -> BoolArray:
-    """Which points (N, 3) are so near to the heights (n, m) of their cells."""
+    """Which points (N, 3) are near the heights (n, m) of their cells."""
     at = np.floor((points[:, :2] - corner) / CELL).astype(np.int64)
     inside = np.all((at >= 0) & (at < heights.shape), axis=1)
     on = np.zeros(len(points), dtype=bool)
@@ -270,5 +272,5 @@ def _is_near(points: Array, heights: Array, corner: Array, thick: float) -> Bool
 
 
 def viewer_of(name: str, cloud: PointCloud, T: Array, sizes: Sizes) -> Viewer:
-    """Take a LiDAR with the averages of its sweeps."""
+    """Make a viewer from the averages of a LiDAR's sweeps."""
     return Viewer(name, averaged(cloud), T, sizes)

@@ -1,8 +1,8 @@
-"""Poles that a LiDAR would see under a hypothesis, and does not.
+"""Poles that a LiDAR should see under a hypothesis, but does not.
 
-A half turn about the bisector of two poles that lean alike lays them on each other, and level
-ground on itself. The third pole then stands where the other LiDAR looked through: so many of its
-beams pass there that some would have hit it.
+A half turn about the bisector of two poles with equal lean maps them onto each other, and level
+ground onto itself. The third pole is then in space that the other LiDAR saw to be empty: enough of
+its beams pass there that some would have hit it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from .choice import is_as_possible
 from .correspondence import SAME_POSE_DISTANCE
 
 ABSENT = np.exp(-float(MIN_POLE_POINTS))
-"""A pole is absent where so few bright returns, or fewer, have at most this probability: none where
-as many are expected as a pole needs."""
+"""A pole is absent if the probability of so few bright returns, or fewer, is at most this: that of
+none, if as many are expected as a pole needs."""
 
 
 def without_absent(
@@ -40,7 +40,7 @@ def without_absent(
     Returns
     -------
     tuple of Hypothesis
-        In the same order. A hypothesis stays where the scene rules out all others that pair
+        In the same order. A hypothesis is kept if the scene rules out all others that pair
         three poles or more and leave none absent.
     """
     whole = [
@@ -59,7 +59,8 @@ def without_absent(
 
 
 def absent(placement: Placement, match: Match) -> int:
-    """Count the poles, of both LiDARs, that a match leaves out and the other LiDAR would see."""
+    """Count the poles, of both LiDARs, that a match leaves out although the other LiDAR would see
+    them."""
     T = match.T_target_source
     sides = (
         (placement.source, placement.target, T, 1),
@@ -77,9 +78,9 @@ def absent(placement: Placement, match: Match) -> int:
 def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
     """Whether a LiDAR looks through a pole that ``T`` (4, 4) moves into its frame.
 
-    Of the beams that pass within `SAME_POSE_DISTANCE` of the pole, and that nothing before it
-    stops, the share ``r / SAME_POSE_DISTANCE`` hits a pole of radius r. Those without any return
-    are not known, nor counted.
+    Of the beams that pass within `SAME_POSE_DISTANCE` of the pole, and that nothing in front of
+    it stops, the share ``r / SAME_POSE_DISTANCE`` hits a pole of radius r. Beams without any return
+    are unknown, and not counted.
     """
     cloud, found = seer.cloud, seer.detection
     if found is None or cloud.intensity is None:
@@ -89,7 +90,7 @@ def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
     beams = rays / np.maximum(ranges, 1e-9)[:, None]
     point, axis = se3.apply(T, pole.point[None])[0], T[:3, :3] @ pole.direction
     toward = point - cloud.origin
-    # Those that pass the middle of the pole farther away pass all of it.
+    # Beams that pass the middle of the pole farther away pass all of it.
     room = SAME_POSE_DISTANCE + pole.length / 2
     some = np.flatnonzero(toward @ toward - (beams @ toward) ** 2 <= room**2)
     by, ranges = closest_approach(cloud.origin, beams[some], point, axis), ranges[some]

@@ -1,8 +1,9 @@
-"""Poles that leave a part of the pose open, and the place that gives it: chosen, or refused.
+"""The pose from the surroundings where the poles do not determine all of it: chosen, or refused.
 
-One pole that both LiDARs see, or parallel ones, are laid on each other in all ways in which the
-place lies on itself (`one_pole`); without any, ground is laid on ground. What stands
-off the ground chooses, rules the others out, and must confirm the pose; surfaces must hold it.
+If both LiDARs see one pole, or parallel ones, these are aligned in all ways in which the
+surroundings coincide (`one_pole`); without poles, ground is aligned with ground. Objects above the
+ground select a hypothesis, rule the others out, and must confirm the pose; surfaces must determine
+it.
 """
 
 from __future__ import annotations
@@ -43,29 +44,30 @@ from .placements import (
 )
 from .prior import PosePrior, agreeing_with_prior
 
-HELD = 0.25
-"""The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
-taken to give before (`alignment.adjustment.SURROUNDINGS_SIGMA`): 0.5° and 5 cm. With twice that, an
-answer between two rows of posts was off by 1.2° under ok, as its 1 σ allowed."""
+DETERMINED = 0.25
+"""The scene determines a pose if its 1 σ is in no direction a larger part than this of the 1 σ
+assumed for the surroundings before (`alignment.adjustment.SURROUNDINGS_SIGMA`): 0.5° and 5 cm.
+With twice that, an answer with the verdict ok between two rows of posts was off by 1.2°, as its 1
+σ allowed."""
 
 MAX_CONTRADICTED = 0.06
-"""Without any pole no more of the patches may contradict the pose. Two wrong poses of 88 recordings
-(benchmarks/deception.py --poles 0, seeds 3000 to 3003) had 9.5 % and 10.8 %, the 21 right ones of
-them and 11 of real pairs (benchmarks/no_poles.py) 4.2 % at most."""
+"""Without poles, at most this share of the patches may contradict the pose. Two wrong poses of 88
+recordings (benchmarks/deception.py --poles 0, seeds 3000 to 3003) had 9.5 % and 10.8 %, the 21
+right ones of them and 11 of real pairs (benchmarks/no_poles.py) 4.2 % at most."""
 
 MAP_SIGMA = np.repeat([np.radians(0.1), 0.03], 3)
-"""1 σ of a pose in a map that is registered to what cannot have driven off, rad and m: chosen. Of
-86 in benchmarks/mapped.py, seeds 0 to 59 and 400 to 449, 83 were off by less, and two with the
-wheels of cars that had moved by more."""
+"""1 σ of a pose in a map that is registered to objects that cannot have driven off, rad and m:
+chosen. Of 86 in benchmarks/mapped.py, seeds 0 to 59 and 400 to 449, 83 were off by less, and two
+with the wheels of cars that had moved by more."""
 
-LEAVES = "one pole, or parallel ones, leave a part of the pose open"
-"""What the poles do not tell."""
+LEAVES = "one pole, or parallel ones, do not determine the whole pose"
+"""The part of the pose that the poles do not determine, in words."""
 
 SET_UP_TWO = "set up two poles that both LiDARs see, one of them leaning by 15° or more"
-"""What to do where it does not without any pole."""
+"""Advice if the surroundings do not determine the pose without poles."""
 
-LEAN_ANOTHER = "lean a second pole by 15° or more against the first where both LiDARs see it"
-"""What to do where the place does not tell."""
+LEAN_ANOTHER = "lean a second pole, in view of both LiDARs, by 15° or more against the first"
+"""Advice if the surroundings do not determine the rest of the pose."""
 
 
 def choose_by_place(
@@ -75,9 +77,9 @@ def choose_by_place(
     count: int | None = None,
     prior: PosePrior | None = None,
 ) -> Chosen | None:
-    """Lay one pole on one pole in every placement, and let the place give the rest of the pose.
+    """Align one pole in every placement, and determine the rest of the pose from the surroundings.
 
-    What stands off the ground chooses, not the overlap of all: the ground lies on itself at any
+    Objects above the ground decide, not the overlap of all points: the ground coincides at any
     angle, and best where it brings the LiDARs near each other.
 
     Parameters
@@ -87,12 +89,12 @@ def choose_by_place(
     radius
         Of the poles, metres.
     count, prior
-        How many poles both LiDARs see, and what is known of the rotation.
+        Number of poles that both LiDARs see, and prior knowledge of the rotation.
 
     Returns
     -------
     Chosen or None
-        None where nothing lies on each other so.
+        None if no pose makes the surroundings coincide.
     """
     scans = [scan for placement in placements for scan in placement.scans]
     if count is not None and min(len(scan.poles) for scan in scans) < count:
@@ -103,7 +105,7 @@ def choose_by_place(
         for placement, standing in zip(placements, grounds, strict=True):
             found = _matches(placement, standing, radius, count, prior)
             found = agreeing_with_prior(found, prior)
-            # What is not exact is only compared with.
+            # Inexact hypotheses are used for comparison only.
             own = [each for each in found if not each.exact or count in (None, len(each.pairs))]
             if not any(match.exact for match in own):
                 return None
@@ -126,7 +128,7 @@ def choose_by_place(
     return Chosen(hypotheses, paired, refusal, tuple(choices), scored=tuple(scored))
 
 
-def align_by_place_where_open(
+def align_by_place_if_open(
     chosen: Chosen,
     *,
     radius: float,
@@ -135,9 +137,9 @@ def align_by_place_where_open(
     count: int | None = None,
     prior: PosePrior | None = None,
 ) -> tuple[Chosen, BeamAlignment]:
-    """Align the chosen poles; where these leave the pose all but free, let the place choose.
+    """Align the chosen poles; if these hardly constrain the pose, let the surroundings decide.
 
-    Short or poorly seen poles fit in a pose that is degrees off.
+    Short or poorly visible poles also fit under a pose that is off by degrees.
 
     Parameters
     ----------
@@ -146,14 +148,15 @@ def align_by_place_where_open(
     radius, radius_sigma
         Of the poles, and its 1 σ, metres.
     by_place
-        Whether the place may choose.
+        Whether the surroundings may decide.
     count, prior
         As of `choose_by_place`.
 
     Raises
     ------
     Refusal
-        As `alignment.adjustment.align_beams` does, and where the place does not tell.
+        As `alignment.adjustment.align_beams` does, and if the surroundings do not determine the
+        pose.
     """
     known = {"radius": radius, "radius_sigma": radius_sigma}
     T = chosen.hypotheses[0].match.T_target_source
@@ -180,18 +183,18 @@ def _matches(
     count: int | None,
     prior: PosePrior | None,
 ) -> list[Match]:
-    """Lay a placement on itself about one pole, or without any where that is asked for."""
+    """Match the clouds of a placement about one pole, or without poles if that is requested."""
     if count == 0:
         return matches_from_above(placement, grounds, prior=prior)
     found = matches_about(placement, (grounds[0][0], grounds[1][0]), radius)
     if any(match.exact for match in found) or not all(scan.poles for scan in placement.scans):
         return found
-    # A short piece of a pole does not tell which way it leans.
+    # A short piece of a pole does not show in which direction it leans.
     return matches_from_above(placement, grounds, radius, prior)
 
 
 Grounds = Sequence[tuple[Sequence[SceneObjects], Sequence[SceneObjects]]]
-"""What stands off each plane that may be the ground, in both clouds of every placement."""
+"""Objects above each plane that may be the ground, in both clouds of every placement."""
 
 
 def _grounds(placements: Sequence[Placement]) -> Grounds:
@@ -201,14 +204,14 @@ def _grounds(placements: Sequence[Placement]) -> Grounds:
 
 
 def _counts_at(grounds: Grounds, T: Array) -> Confirmation:
-    """Count what agrees with a pose (4, 4), and what conflicts with it."""
+    """Count the patches that agree with a pose (4, 4), and those that conflict with it."""
     return agreement([under(each, T) for each in grounds], T)
 
 
 def _rivals(grounds: Grounds, T: Array, others: Sequence[Match]) -> list[Match]:
-    """Find the poses that what stands off the ground does not rule out beside one (4, 4).
+    """Find the poses that objects above the ground do not rule out in addition to one (4, 4).
 
-    The rule is `choice.is_not_ruled_out`, of patches off the ground.
+    The rule is `choice.is_not_ruled_out`, applied to patches above the ground.
     """
     own, lifted = _counts_at(grounds, T), _raises(grounds, T)
     found = []
@@ -227,22 +230,23 @@ def _raises(grounds: Grounds, T: Array) -> bool:
 
 
 def confirmed_by_place(chosen: Chosen) -> Chosen | None:
-    """Take the hypothesis that what stands off the ground confirms, and leaves no rival.
+    """Select the hypothesis that objects above the ground confirm, if it has no rival.
 
-    LiDARs far from each other meet a surface in lines that lie apart: few returns have a neighbour
-    under the right pose. A voxel still agrees in depth where either LiDAR sees it.
+    LiDARs far from each other sample a surface along different lines: few returns have a neighbour
+    under the right pose. Voxels still agree in depth if either LiDAR sees them.
 
     Parameters
     ----------
     chosen
-        With hypotheses that the scene scored, whether or not there is a refusal; of its choices
-        the first `MOST_REFINED` may be taken.
+        With hypotheses that the scene scored, whether or not there is a refusal; one of its
+        first `MOST_REFINED` choices may be selected.
 
     Returns
     -------
     Chosen or None
-        Without a refusal; None where less than `MIN_TOTAL` says anything of the best hypothesis or
-        more than `MAX_CONTRADICTED` of that conflicts, and where another is not ruled out.
+        Without a refusal; None if fewer than `MIN_TOTAL` patches give information about the best
+        hypothesis, if more than `MAX_CONTRADICTED` of them conflict, or if another is not ruled
+        out.
     """
     if not chosen.choices:
         return None
@@ -267,10 +271,10 @@ def confirmed_by_place(chosen: Chosen) -> Chosen | None:
 
 
 def has_rival(paired: Sequence[PairedPlacement], radius: float) -> bool:
-    """Whether the place lies on itself as well at another angle about the pole that both see best.
+    """Whether the surroundings also coincide at another angle about the pole that both see best.
 
-    Three things that are taken for poles may lie on each other in one way only, and amid a place
-    that a half turn changes nothing of that may be the wrong one.
+    Three objects that are detected as poles may match in one way only, and in surroundings that are
+    symmetric under a half turn this may be the wrong one.
     """
     first = paired[0]
     match = first.hypothesis.match
@@ -296,7 +300,7 @@ def _alone(scan: Scan, k: int) -> Scan:
 
 
 def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Confirmation) -> None:
-    """Refuse a pose of which the place gives a part and does not confirm it.
+    """Refuse a pose that is partly from the surroundings if these do not confirm it.
 
     Raises
     ------
@@ -309,14 +313,14 @@ def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Co
     contradicted = MAX_CONTRADICTED if has_no_poles(paired) else 1.0
     if found.total >= MIN_TOTAL and wrong <= MAX_WRONG and found.contradicted <= contradicted:
         return
-    left, advice = _left_open(paired)
+    left, advice = _undetermined(paired)
     needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % needed"
     if has_no_poles(paired):
-        needed += f", at most {100 * MAX_CONTRADICTED:.0f} % against it"
+        needed += f", at most {100 * MAX_CONTRADICTED:.0f} % contradicting it"
     raise Refusal(
         "too_few_poles",
-        f"{left}, and the surroundings do not fix it: {found.counts}; chance of a wrong pose "
-        f"{found.chance} ({needed}); {advice}",
+        f"{left}, and the surroundings do not determine the rest: {found.counts}; chance of a "
+        f"wrong pose {found.chance} ({needed}); {advice}",
         {
             "poles": max(len(each.target_poles) for each in paired),
             "needed": 2,
@@ -329,10 +333,11 @@ def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Co
     )
 
 
-def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
-    """Say what the poles leave to the place, and what to do where it does not tell."""
+def _undetermined(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
+    """Describe the part of the pose left to the surroundings, and give advice if they do not
+    determine it."""
     if has_no_poles(paired):
-        return "without poles all of the pose is open", SET_UP_TWO
+        return "without poles the whole pose is undetermined", SET_UP_TWO
     scans = [scan for each in paired for scan in (each.placement.target, each.placement.source)]
     few = (why_few_poles(scan) for scan in scans if len(scan.poles) < 2)
     return LEAVES, next(filter(None, few), LEAN_ANOTHER)
@@ -341,18 +346,18 @@ def _left_open(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
 def check_constrained(
     paired: Sequence[PairedPlacement], refined: PoseEstimate | None, held: Array | None = None
 ) -> None:
-    """Refuse a pose that the poles leave open, and the scene as well.
+    """Refuse a pose that neither the poles nor the scene determine.
 
     Parameters
     ----------
     paired
         Every placement.
     refined
-        Pose and all of its covariance; None where the surfaces gave none.
+        Pose and its whole covariance; None if the surfaces gave none.
     held
-        (6, 6) of it, rad and m, if every place is where it was; None takes all of the covariance.
-        That a single place decides is no reason to refuse: it is reported, and what the others
-        leave is stated, up to what poles may leave.
+        (6, 6) covariance, rad and m, on the assumption that no place has moved; None uses the
+        whole covariance. It is no reason to refuse that a single place decides: this is reported,
+        and the uncertainty without it is stated, up to the limit for poles.
 
     Raises
     ------
@@ -361,11 +366,11 @@ def check_constrained(
     """
     if not is_by_place(paired):
         return
-    left, advice = _left_open(paired)
+    left, advice = _undetermined(paired)
     if refined is None:
         raise Refusal(
             "degenerate_poles",
-            f"{left}, and too few surfaces that both LiDARs see tell it; {advice}",
+            f"{left}, and too few surfaces are seen by both LiDARs to determine the rest; {advice}",
             {"poles": max(len(each.target_poles) for each in paired)},
         )
     assert refined.covariance is not None
@@ -376,9 +381,9 @@ def check_constrained(
 
 
 def is_constrained(covariance: Array) -> bool:
-    """Whether a pose (6, 6) is known far better than the place was taken to give it."""
+    """Whether a pose (6, 6) is known far better than was assumed for the surroundings."""
     by_place = covariance / np.outer(SURROUNDINGS_SIGMA, SURROUNDINGS_SIGMA)
-    return float(np.linalg.eigvalsh(by_place)[-1]) <= HELD**2
+    return float(np.linalg.eigvalsh(by_place)[-1]) <= DETERMINED**2
 
 
 def check_constrained_by_scene(
@@ -388,16 +393,16 @@ def check_constrained_by_scene(
     left: str = LEAVES,
     advice: str = LEAN_ANOTHER,
 ) -> None:
-    """Refuse a pose that the scene holds little better than the place was taken to give it.
+    """Refuse a pose that the scene determines little better than was assumed for the surroundings.
 
     Parameters
     ----------
     covariance
         (6, 6) of the pose of one LiDAR in the frame of the other, over ``[φ, δ]``, rad and m.
     lidars
-        What they are called.
+        Names of the LiDARs, in words.
     left, advice
-        What the poles leave open, and what to do.
+        The part that the poles do not determine, and advice.
 
     Raises
     ------
@@ -409,7 +414,7 @@ def check_constrained_by_scene(
     rotation, translation = widest(covariance)
     raise Refusal(
         "degenerate_poles",
-        f"{left}, and the surfaces that {lidars} see hold the pose to "
-        f"{np.degrees(rotation):.2f}° and {translation:.2f} m only (1 σ); {advice}",
+        f"{left}, and the surfaces that {lidars} see determine the pose only to "
+        f"{np.degrees(rotation):.2f}° and {translation:.2f} m (1 σ); {advice}",
         {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
     )

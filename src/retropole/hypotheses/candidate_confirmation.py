@@ -1,11 +1,11 @@
-"""Candidate poles count only where the other LiDAR and the scene confirm them.
+"""Candidate poles are used only if the other LiDAR and the scene confirm them.
 
-A candidate pole alone says nothing. Two lines that one LiDAR sees at the same angle and distance as
-the other, laid on each other by a pose under which the two scenes coincide, and by no other pose
-nearly as well: that does not happen by chance (docs/evidence/detection.md, Candidate poles).
+A candidate pole alone gives no information. But two lines with the same angle and distance for
+both LiDARs, which coincide under a pose that also makes the two scenes coincide, and under no
+other pose nearly as well, do not occur by chance (docs/evidence/detection.md, Candidate poles).
 
-Where some of the poles chosen are doubtful, more is required of the scene. Confirmed poles leave
-the scene to tell a few poses apart; candidates need it as evidence of its own
+If some of the chosen poles are doubtful, more is required of the scene. With confirmed poles
+the scene only has to distinguish a few poses; with candidates it must be separate evidence
 (docs/evidence/detection.md, Candidate poles).
 """
 
@@ -27,40 +27,40 @@ MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; confirmed poles need 0.25."""
 
 MIN_CONFIRMED_COVISIBLE = 0.45
-"""Or so much of the points that both LiDARs could see; confirmed poles need 0.35."""
+"""Or this share of the points that both LiDARs could see; confirmed poles need 0.35."""
 
 MAX_CONFIRMED_VIOLATION = 0.05
-"""Largest share of the points that stand where the other LiDAR looked through. No loop is closed
-with a hypothesis that has as much more than the best: on bare ground the right one, 0.3° off, had
-up to 0.046 more than one that lays the scenes beside each other, in eight of 130 rings
+"""Largest share of the points in space that the other LiDAR saw to be empty. No loop is
+closed with a hypothesis that exceeds the best by this much: on bare ground the right one, 0.3°
+off, had up to 0.046 more than one that puts the scenes next to each other, in eight of 130 rings
 (benchmarks/site.py rings, seeds 0 to 129)."""
 
 MIN_CONFIRMED_MARGIN, MIN_MARGIN_SHARE = 0.3, 0.7
-"""By so much the score leads that of every other hypothesis, the inexact ones included; or by so
-much of itself, where the overlap is small."""
+"""Margin of the score over every other hypothesis, the inexact ones included; or as a part of
+the score, if the overlap is small."""
 
 CERTAIN_MARGIN = 0.15
-"""By so much a certain hypothesis leads, in score, one that the scene contradicts, as it does what
+"""Margin in score of a certain hypothesis over one that the scene contradicts so that it
 is no rival (`RIVAL_FREE_SPACE_VIOLATION`); …"""
 
 SUPPORT_LEAST_OVERLAP = 0.2
 """… or one that overlaps less than confirmed poles need (`MIN_OVERLAP`), and in which
 either less than `MIN_COVISIBLE_OVERLAP` of what both LiDARs could see has a neighbour or
-less than this of all: alone it would be refused. What confirmed poles need is enough for a certain
-hypothesis."""
+less than this of all: alone it would be refused. The limits for confirmed poles are enough for a
+certain hypothesis."""
 
 MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
-"""ICP of the scenes moves the pose by no more, rad and m, unless it is settled or certain: ICP of
-coarse scans wanders along floors and walls."""
+"""Limit of the movement of the pose by ICP of the scenes, rad and m, unless it is settled or
+certain: ICP of coarse scans drifts along floors and walls."""
 
 MIN_CERTAIN_COVISIBLE, MAX_CERTAIN_VIOLATION = 0.75, 0.01
-"""A hypothesis is certain where it is settled, or so much of what both LiDARs could see coincides,
-and so little contradicts it. Wrong hypotheses contradicted 1.3 % and more; of nine right ones in
-hard scenes (seeds below 1000) that need it, 0.6 % at most did."""
+"""A hypothesis is certain if it is settled, or if at least this share of what both LiDARs could
+see coincides, and at most this share contradicts it. Wrong hypotheses contradicted 1.3 % and more;
+of nine right ones in hard scenes (seeds below 1000) that need it, 0.6 % at most did."""
 
 
 def margin_needed(best: Hypothesis, other: Hypothesis) -> float:
-    """By how much the score of a choice must lead another's."""
+    """Margin by which the score of a choice must exceed that of another."""
     is_contradicted = other.free_space_violation >= RIVAL_FREE_SPACE_VIOLATION
     if _is_certain(best) and (is_contradicted or not _overlaps(other)):
         return CERTAIN_MARGIN
@@ -68,7 +68,7 @@ def margin_needed(best: Hypothesis, other: Hypothesis) -> float:
 
 
 def scene_agrees(best: Hypothesis) -> bool:
-    """Whether the scenes overlap enough under a choice, and nothing contradicts it."""
+    """Whether the scenes overlap enough under a choice, without a contradiction."""
     is_certain = _is_certain(best)
     overlaps = _overlaps(best, MIN_CONFIRMED_OVERLAP, MIN_CONFIRMED_COVISIBLE)
     return (
@@ -79,8 +79,8 @@ def scene_agrees(best: Hypothesis) -> bool:
 
 
 def _is_certain(best: Hypothesis) -> bool:
-    """Whether the scenes registered to where the poles fit, or nearly all that both LiDARs could
-    see coincides, and next to nothing contradicts.
+    """Whether the registration of the scenes ended where the poles fit, or nearly all that both
+    LiDARs could see coincides and hardly anything contradicts.
     """
     coincides = (best.covisible_overlap or 0.0) >= MIN_CERTAIN_COVISIBLE
     return (
@@ -91,8 +91,8 @@ def _is_certain(best: Hypothesis) -> bool:
 def _overlaps(
     hypothesis: Hypothesis, least: float = MIN_OVERLAP, covisible: float = MIN_COVISIBLE_OVERLAP
 ) -> bool:
-    """Whether so much of all overlaps, or of what both LiDARs could see and `SUPPORT_LEAST_OVERLAP`
-    of all; as much as confirmed poles need where nothing else is said.
+    """Whether a given share of all points overlaps, or of what both LiDARs could
+    see and `SUPPORT_LEAST_OVERLAP` of all; by default the share that confirmed poles need.
     """
     is_covisible = (hypothesis.covisible_overlap or 0.0) >= covisible
     return hypothesis.overlap >= least or (
@@ -101,26 +101,27 @@ def _overlaps(
 
 
 def _icp_stays(best: Hypothesis) -> bool:
-    """Whether ICP stays; an ICP-refined hypothesis is where a sharper registration ended."""
+    """Whether ICP does not move the pose; an ICP-refined hypothesis is where a more precise
+    registration ended."""
     if best.icp_rotation is None or best.icp_translation is None:
         return False
     return best.icp_rotation <= MAX_ICP_ROTATION and best.icp_translation <= MAX_ICP_TRANSLATION
 
 
 FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
-"""Residual of the poles under the pose, at most: the lines of facing sides lie π r/2 apart, returns
-scatter by `RMS_PER_RADIUS` about their line, and by noise, metres. That is 35 mm for r = 20 mm;
+"""Largest residual of the poles under the pose, metres: the lines of facing sides are π r/2 apart,
+returns scatter by `RMS_PER_RADIUS` about their line, and by noise. That is 35 mm for r = 20 mm;
 wrong answers had 38 mm and more. Wide beams add their scatter."""
 
 CONFIRMED_ANGLE = float(np.radians(1.5))
 """The two LiDARs agree on the angle of two lines within this, rad, and on their distance within
-`EXACT_RMS`, beyond two sigma of what their returns fix."""
+`EXACT_RMS`, beyond two sigma of their returns."""
 
 
 def is_confirmed(
     paired: Sequence[PairedPlacement], hypotheses: Sequence[Hypothesis], radius: float
 ) -> bool:
-    """Whether both LiDARs and the scene confirm a choice that rests on candidate poles.
+    """Whether both LiDARs and the scene confirm a choice based on candidate poles.
 
     Parameters
     ----------
@@ -160,7 +161,7 @@ def _several_refined(each: PairedPlacement) -> bool:
 
 
 def _beam_scatter(each: PairedPlacement, radius: float) -> float:
-    """What wide beams of the source add to the residual of its poles, metres."""
+    """Addition by wide beams of the source to the residual of its poles, metres."""
     scan = each.placement.source
     beams = beams_by(scan.sensor)
     squares = [
@@ -171,7 +172,7 @@ def _beam_scatter(each: PairedPlacement, radius: float) -> float:
 
 
 def _lines_agree(each: PairedPlacement) -> bool:
-    """Whether any two of the paired poles lie to each other as the other LiDAR sees them."""
+    """Whether any two of the paired poles have the same relative pose for both LiDARs."""
     target, source = each.target_poles, each.source_poles
     for i in range(len(target)):
         for j in range(i):
@@ -207,7 +208,7 @@ def candidates_in(each: PairedPlacement) -> tuple[list[Pole], list[Pole]]:
 def candidate_reasons(
     paired: Sequence[PairedPlacement], hypotheses: Sequence[Hypothesis]
 ) -> list[Reason]:
-    """Warn where an answer rests on candidate poles; nothing where all are confirmed."""
+    """Warn if an answer is based on candidate poles; nothing if all are confirmed."""
     target, source = 0, 0
     for each in paired:
         of_target, of_source = candidates_in(each)
@@ -218,10 +219,10 @@ def candidate_reasons(
     return [
         Reason(
             "doubtful_poles",
-            f"{target} of the target's poles and {source} of the source's are doubtful by "
-            f"themselves, near a wall, beside something bright, with few returns or dim tape; both "
+            f"{target} of the target's poles and {source} of the source's are doubtful, near "
+            f"a wall, next to a bright object, with few returns or dim tape; both "
             f"LiDARs agree on them to {1000 * best.match.pole_rms:.0f} mm, and {best.overlap:.0%} "
-            "of the points have a neighbour under this pose only",
+            "of the points have a neighbour under this pose and no other",
             {
                 "target": target,
                 "source": source,

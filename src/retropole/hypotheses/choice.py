@@ -1,7 +1,7 @@
-"""Which hypothesis the scene leaves standing, which is taken, and the choice by hand.
+"""Which hypotheses the scene does not rule out, which is selected, and the choice by hand.
 
-The poles alone cannot choose. Where the scene cannot either, a person who knows the place may: by
-the letter that a hypothesis has in the list.
+The poles alone cannot decide. If the scene cannot either, a person who knows the place may:
+by the letter of a hypothesis in the list.
 """
 
 from __future__ import annotations
@@ -24,36 +24,36 @@ from .placements import (
     Chosen,
     PairedPlacement,
     PlacementHypotheses,
-    counts_candidates,
     find_recurring,
     rank_joint_hypotheses,
+    uses_candidates,
 )
 
 RIVAL_OVERLAP, RIVAL_FREE_SPACE_VIOLATION = 0.62, 0.025
-"""A hypothesis is a rival of the best if it has so much of its overlap, and if no more than this
-share of the points beyond the best's own speaks against it (see docs/method.md)."""
+"""A hypothesis is a rival of the best if it has at least this part of its overlap, and if the
+share of points that contradict it exceeds that of the best by at most this (see docs/method.md)."""
 
 WARN_MARGIN = 0.1
-"""Below this margin the answer stands, but a person should look at the hypotheses."""
+"""Below this margin the answer is given, but a person should check the hypotheses."""
 
 MIN_OVERLAP = 0.25
 """Share of the points that must find a neighbour in the other cloud."""
 
 MIN_COVISIBLE_OVERLAP, LEAST_OVERLAP = 0.35, 0.15
-"""The same of the points that both LiDARs could see: LiDARs of different reach and field of view
-share less than `MIN_OVERLAP`, but agree where they look at the same. Then all the points need no
-more than `LEAST_OVERLAP`. Right poses have 0.43 and more of the first, of recordings from
-different places with the same poles the best has 0.30 (docs/method.md)."""
+"""The same for the points that both LiDARs could see: LiDARs of different range and field of
+view share less than `MIN_OVERLAP`, but agree where their views coincide. Then `LEAST_OVERLAP` of
+all points is enough. Right poses have 0.43 and more of the first; the best of recordings
+from different places with the same poles has 0.30 (docs/method.md)."""
 
 UNCONTRADICTED, MIN_UNCONTRADICTED_OVERLAP, MIN_UNCONTRADICTED_COVISIBLE = 25.0, 0.04, 0.2
 """LiDARs with limited fields of view share less still. The second of all points and the third of
-the covisible ones are enough where the overlap is so many times the free-space violation: right
+the covisible ones are enough if the overlap is this many times the free-space violation: right
 poses had 41 and more, wrong ones with as much of both 20 at most but for one of 441, which the
 scene contradicts later (docs/method.md)."""
 
 SAME_VERTICAL = np.radians(10.0)
-"""The grounds that the two LiDARs see are one where their normals differ by less, rad: a plane that
-one of them takes for the ground by mistake is seldom so in the other's cloud, too."""
+"""The grounds seen by the two LiDARs are the same if their normals differ by less, rad: a
+plane that is mistaken for the ground in one cloud is seldom mistaken in the other, too."""
 
 
 def hypothesis_name(k: int) -> str:
@@ -67,14 +67,14 @@ def is_hypothesis_name(text: object) -> bool:
 
 
 def margin_of(hypotheses: Sequence[Hypothesis]) -> float | None:
-    """Score of the first hypothesis over the next best; None where there is only one."""
+    """Score of the first hypothesis minus that of the next best; None if there is only one."""
     if len(hypotheses) < 2:
         return None
     return hypotheses[0].score - max(h.score for h in hypotheses[1:])
 
 
 def choose_best(scored: Sequence[PlacementHypotheses]) -> Chosen:
-    """Take the hypothesis that the scenes of all placements agree on; a refusal is kept."""
+    """Select the hypothesis on which the scenes of all placements agree; a refusal is kept."""
     hypotheses: tuple[Hypothesis, ...] = scored[0].hypotheses
     choices: Sequence[Choice] = ()
     try:
@@ -88,7 +88,7 @@ def choose_best(scored: Sequence[PlacementHypotheses]) -> Chosen:
 
 
 def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
-    """Refuse where the scene does not decide between the hypotheses, or conflicts with them all.
+    """Refuse if the scene does not decide between the hypotheses, or conflicts with them all.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
 
 
 class Scored(Protocol):
-    """What the scene says of a hypothesis."""
+    """Scores of a hypothesis from the scene."""
 
     @property
     def overlap(self) -> float:
@@ -111,26 +111,26 @@ class Scored(Protocol):
 
     @property
     def free_space_violation(self) -> float:
-        """Share of them that stand where the other LiDAR looked through."""
+        """Share of the points in space that the other LiDAR saw to be empty."""
 
     @property
     def score(self) -> float:
-        """The one less the other."""
+        """Overlap minus free-space violation."""
 
 
 NOT_SYMMETRIC = (
     "add another pole that leans by another angle, or move the poles, a car or a box so that the "
     "surroundings are not symmetric about the poles"
 )
-"""What tells hypotheses apart."""
+"""Advice on how to distinguish hypotheses."""
 
 
 def ambiguous(best: Scored, rivals: Sequence[Scored], advice: str = NOT_SYMMETRIC) -> Refusal:
-    """Say that the scene does not tell some hypotheses apart from the best."""
+    """Give the refusal if the scene does not distinguish some hypotheses from the best."""
     rival = max(rivals, key=lambda h: h.score)
     return Refusal(
         "ambiguous",
-        f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
+        f"the scene does not distinguish {1 + len(rivals)} hypotheses (overlap "
         f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
         f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): {advice}",
         {
@@ -146,15 +146,15 @@ def ambiguous(best: Scored, rivals: Sequence[Scored], advice: str = NOT_SYMMETRI
 def is_not_ruled_out(
     agreeing: float, conflicting: float, best_agreeing: float, best_conflicting: float
 ) -> bool:
-    """Whether the surroundings leave a pose as possible as the best one.
+    """Whether the surroundings do not rule out a pose in comparison with the best one.
 
-    The score alone does not do: it favours, by up to 0.2, whatever brings the LiDARs near each
-    other, since near each other they see the same things.
+    The score alone is not sufficient: it favours, by up to 0.2, poses that bring the LiDARs near
+    each other, since LiDARs near each other see the same objects.
 
     Parameters
     ----------
     agreeing, best_agreeing
-        How much of the surroundings agrees with either pose: a share or a count.
+        Amount of the surroundings that agrees with either pose: a share or a count.
     conflicting, best_conflicting
         Shares of the surroundings that conflict with them.
     """
@@ -223,9 +223,9 @@ def check_paired(paired: Sequence[PairedPlacement]) -> None:
 
 
 def not_rejected(hypotheses: Sequence[Hypothesis]) -> list[bool]:
-    """Say of each hypothesis, the best first, whether the scene leaves it standing.
+    """For each hypothesis, the best first: whether the scene does not rule it out.
 
-    These are the best, its rivals, and those that fit exactly and score nearly as well.
+    Not ruled out are the best, its rivals, and those that fit exactly and score nearly as well.
     """
     return [
         k == 0
@@ -236,43 +236,45 @@ def not_rejected(hypotheses: Sequence[Hypothesis]) -> list[bool]:
 
 
 def take_by_hand(chosen: Chosen, name: str | None) -> Chosen:
-    """Take the hypothesis that a person names instead of the best one.
+    """Select the hypothesis given by a person instead of the best one.
 
-    The letter is that of the list which the same run gives without one. Of the refusals only
-    ``ambiguous`` is lifted by it: that is the question which it answers.
+    The letter is that of the list given by the same run without a letter. It lifts
+    only the refusal ``ambiguous``, which is the question that it answers.
 
     Parameters
     ----------
     chosen
-        What the poles and the scene say by themselves.
+        The choice by poles and scene.
     name
         As `hypothesis_name` gives it; None leaves the choice as it is.
 
     Returns
     -------
     Chosen
-        The named hypothesis first; with a refusal where it cannot be right.
+        The given hypothesis first; with a refusal if it cannot be right.
 
     Raises
     ------
     UsageError
-        Where no hypothesis that fits the poles has this name.
+        If no hypothesis that fits the poles has this name.
     """
     if name is None or (chosen.refusal is not None and chosen.refusal.code != "ambiguous"):
         return chosen
-    # Candidate poles count for the one hypothesis that the scene confirms, and for no other.
-    doubtful = any(counts_candidates(each.placement) for each in chosen.paired)
+    # Candidate poles are used for the one hypothesis that the scene confirms, and for no other.
+    doubtful = any(uses_candidates(each.placement) for each in chosen.paired)
     names = [hypothesis_name(k) for k in range(1 if doubtful else len(chosen.choices))]
     if name not in names:
         raise UsageError(
             f"no hypothesis {name!r} (--hypothesis) fits the poles of these recordings; those that "
-            f"do are {', '.join(names)}"
+            f"fit are {', '.join(names)}"
         )
     k = names.index(name)
     choice = chosen.choices[k]
     try:
         check_overlap(
-            choice.joint, f"hypothesis {name}", "the scene conflicts with what --hypothesis says"
+            choice.joint,
+            f"hypothesis {name}",
+            "the scene conflicts with the hypothesis given by --hypothesis",
         )
         check_paired(choice.paired)
     except Refusal as refusal:
@@ -284,16 +286,16 @@ def take_by_hand(chosen: Chosen, name: str | None) -> Chosen:
 
 
 def list_hypotheses(answer: Calibration, chosen: Chosen, by_hand: str | None) -> Calibration:
-    """List the hypotheses as they are named, and say of an answer that it was chosen by hand.
+    """List the hypotheses with their names, and report an answer that was chosen by hand.
 
     Parameters
     ----------
     answer
-        Its hypotheses begin with the one that was taken.
+        Its hypotheses begin with the selected one.
     chosen
         From `take_by_hand`.
     by_hand
-        The name of the hypothesis, where a person chose it.
+        The name of the hypothesis, if a person chose it.
     """
     if answer.hypotheses:
         first, *others = answer.hypotheses
@@ -313,7 +315,7 @@ def list_hypotheses(answer: Calibration, chosen: Chosen, by_hand: str | None) ->
 def vertical_of(placement: Placement, T: Array) -> Array | None:
     """Find the vertical (3,) in the target's frame: the normal of the ground that both LiDARs see.
 
-    None where their grounds do not lie on each other under the pose ``T``, (4, 4).
+    None if their grounds do not coincide under the pose ``T``, (4, 4).
     """
     rng = np.random.default_rng(0)
     target, source = (
@@ -325,7 +327,7 @@ def vertical_of(placement: Placement, T: Array) -> Array | None:
 
 
 def _by_hand(answer: Calibration, name: str) -> Reason:
-    """Say which hypothesis a person chose, and what the scene says of it and of the best other."""
+    """Report which hypothesis a person chose, with its scores and those of the best other."""
     own = answer.hypotheses[answer.chosen]
     roll, pitch, yaw = np.degrees(se3.rpy_from_rotation(own.match.T_target_source[:3, :3]))
     message = (

@@ -1,17 +1,17 @@
-"""Which pole is which, and which way round: every rigid match of two sets of lines.
+"""Correspondence and direction of the poles: every rigid match of two sets of lines.
 
-Pairs of poles of one shape are laid on each other in all ways, all at once; of what fits exactly,
-every other pole that falls into place is taken in, and solved with them together.
+Pairs of poles of the same shape are aligned in all ways, all at once; to exact matches
+every other pole that coincides is added, and all are solved together.
 
 Matches that give nearly the same pose are one. A line has no direction and two poles have no names,
 so a pair of poles fits another in 2 × 4 ways (Xue et al. 2019, Fig. 4). Each way has a start in
 closed form: the bisectors and the common perpendicular of two skew lines make a frame, the middle
-of the common perpendicular its origin, and frame is laid on frame. Of the eight, four are exact:
-the lines' own symmetry group is the identity and the half turns about the common perpendicular and
-about the two bisectors (the Klein four-group). The other four pair an angle with its supplement, so
-they are exact only where the poles are perpendicular and cross.
+of the common perpendicular its origin, and the two frames are aligned. Of the eight, four are
+exact: the lines' own symmetry group is the identity and the half turns about the common
+perpendicular and about the two bisectors (the Klein four-group). The other four pair an angle with
+its supplement, so they are exact only where the poles are perpendicular and cross.
 
-Which further poles a match of two takes in, which it leaves out, and how well it fits.
+Also: which further poles a match of two includes, which it leaves out, and how well it fits.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _expected_error(match: Match) -> float:
 def distinct(matches: list[Match], source_points: Array) -> list[Match]:
     """Sort matches, most poles and least expected error first, and keep one of each pose.
 
-    The right pose and the wrong ones lie half a turn apart; what lies nearer is the same pose by
+    The right pose and the wrong ones differ by half a turn; nearer ones are the same pose by
     other poles.
     """
     kept: list[Match] = []
@@ -56,22 +56,22 @@ def distinct(matches: list[Match], source_points: Array) -> list[Match]:
     for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), _expected_error(m))):
         k, T = len(kept), match.T_target_source
         rotations[k], places[k] = T[:3, :3].reshape(-1), se3.apply(T, source_points)
-        alike = np.flatnonzero(rotations[:k] @ rotations[k] > least)
-        apart = np.linalg.norm(places[alike] - places[k], axis=2).max(axis=1)
+        similar = np.flatnonzero(rotations[:k] @ rotations[k] > least)
+        apart = np.linalg.norm(places[similar] - places[k], axis=2).max(axis=1)
         if not np.any(apart < SAME_POSE_DISTANCE):
             kept.append(match)
     return kept
 
 
 def same_pose(one: Match, other: Match, source_points: Array) -> bool:
-    """Whether two matches put the source, and points (N, 3) of it, in nearly the same place."""
+    """Whether two matches put the source, and points (N, 3) of it, at nearly the same position."""
     apart = se3.difference_at(one.T_target_source, other.T_target_source, source_points)
     return apart.rotation < SAME_POSE_ANGLE and apart.translation < SAME_POSE_DISTANCE
 
 
 @dataclass(frozen=True, eq=False)
 class LinePair:
-    """The geometry of two skew lines that no rigid motion changes, and the frame that one moves.
+    """The invariants of two skew lines under rigid motion, and the frame that moves with them.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class LinePair:
 
 
 def line_pair(p1: Array, n1: Array, p2: Array, n2: Array) -> LinePair:
-    """Measure two lines, with ``n1`` and ``n2`` taken as directed the way they are given.
+    """Measure two lines, with ``n1`` and ``n2`` directed as given.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def line_pair(p1: Array, n1: Array, p2: Array, n2: Array) -> LinePair:
     Raises
     ------
     Refusal
-        ``parallel_poles`` where the lines have no common perpendicular of their own.
+        ``parallel_poles`` if the lines have no unique common perpendicular.
     """
     cross = np.cross(n1, n2)
     sine = float(np.linalg.norm(cross))
@@ -127,12 +127,13 @@ def line_pair(p1: Array, n1: Array, p2: Array, n2: Array) -> LinePair:
 def pair_starts(
     target: tuple[Pole, Pole], source: tuple[Pole, Pole]
 ) -> list[tuple[Array, tuple[int, int]]]:
-    """Lay one pair of poles on another in the paper's eight ways, in closed form.
+    """Align one pair of poles with another in the paper's eight ways, in closed form.
 
     Returns
     -------
     list of (T_target_source, order)
-        ``order`` tells which source pole (0 or 1) goes to the first and to the second target pole.
+        ``order`` gives the source pole (0 or 1) that goes to the first and to the second target
+        pole.
     """
     frames = [_frame_of(pair) for pair in (target, source)]
     return [(frames[0] @ way, order) for way, order in pair_ways(frames[1])]
@@ -156,9 +157,9 @@ WAYS = tuple(
         ((1, 0), (-1, 0, 0), (0, 1, 0), (0, 0, -1)),
     )
 )
-"""The frame of two lines under the eight ways of naming and directing them, by its axes in the one
-that they have as they are: the bisectors change their roles where one line turns round, the common
-perpendicular its way where that or the order does."""
+"""The frame of two lines under the eight ways of naming and directing them, by its axes in the
+original one: the bisectors exchange their roles if one line is reversed, the common perpendicular
+its direction if that or the order changes."""
 
 
 def pair_ways(frame: Array) -> list[tuple[Array, tuple[int, int]]]:
@@ -187,9 +188,9 @@ def exact_rms(
 ) -> float:
     """Residual of paired poles, metres, up to which they are an exact match.
 
-    `EXACT_RMS`, and beyond what confirmed poles scatter, what those of the source do about their
-    lines, and three sigma of what the returns leave open of the target's lines, where the others
-    lie on them: of thick, far and short poles.
+    `EXACT_RMS`, plus the scatter of the source's poles about their lines beyond that
+    of confirmed poles, plus three sigma of the target's lines where the others lie
+    on them: for thick, far and short poles.
     """
     count = variance = 0.0
     for i, j in pairs:
@@ -203,11 +204,12 @@ def exact_rms(
 
 
 EXTENSION_RMS = 3 * EXACT_RMS
-"""Distance within which further poles fall into place under a match of two, metres."""
+"""Distance within which further poles coincide under a match of two, metres."""
 
 MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
-"""Two poles of a match are one only if they lean against each other by less, rad, and if less lies
-between them along the line, metres: two lines far apart along themselves are two posts."""
+"""Two poles of a match are the same only if the angle between them is less, rad, and the gap
+between them along the line is less, metres: two lines far apart along the same axis are two
+posts."""
 
 
 def solved_each(
@@ -216,7 +218,7 @@ def solved_each(
     pairs: Sequence[tuple[tuple[int, int], ...]],
     starts: Sequence[Array],
 ) -> list[Match]:
-    """Lay paired poles on each other by least squares, each set of pairs from its start (4, 4)."""
+    """Align paired poles by least squares, each set of pairs from its start (4, 4)."""
     if len(pairs) == 0:
         return []
     most = max(len(each) for each in pairs)
@@ -253,7 +255,7 @@ def solved_each(
 def extended(
     target: Sequence[Pole], source: Sequence[Pole], T: Array, gate: float
 ) -> tuple[tuple[int, int], ...]:
-    """Pair all poles one to one that lie on each other under ``T``, within ``gate`` metres."""
+    """Pair all poles one to one that coincide under ``T``, within ``gate`` metres."""
     # Imported here: it takes a quarter of a second, and two poles on each side do not need it.
     from scipy.optimize import linear_sum_assignment
 
@@ -294,12 +296,12 @@ def exact_part(target: Sequence[Pole], source: Sequence[Pole], first: Match, who
 def left_out(
     target: Sequence[Pole], source: Sequence[Pole], match: Match
 ) -> list[tuple[int, int, float]]:
-    """Find the poles that a match does not pair though they are one: they moved by a little.
+    """Find the poles that a match does not pair although they are the same: they moved slightly.
 
     Returns
     -------
     list of (i, j, distance)
-        Pole of the target, of the source, and how far apart they lie under the match, metres.
+        Pole of the target, of the source, and their distance under the match, metres.
     """
     rest_target, rest_source = (
         [k for k in range(len(poles)) if k not in {pair[side] for pair in match.pairs}]
@@ -322,22 +324,22 @@ MIN_ANGLE = np.radians(5.0)
 pose error grows with 1/sin(angle), which is more than tenfold here."""
 
 ANGLE_TOLERANCE = np.radians(3.0)
-"""By how much two LiDARs may disagree on the angle between two poles, beyond three sigma."""
+"""Largest difference between two LiDARs in the angle between two poles, beyond three sigma."""
 
 DISTANCE_TOLERANCE = 0.08
 """The same for the distance between two poles, metres. Each LiDAR sees a line up to 16 mm in front
 of the axis of a 2 cm pole, towards itself."""
 
 MAX_PAIR_MATCHES = 200
-"""How many pairs of pole pairs are tried, the most alike first."""
+"""Number of pairs of pole pairs that are tried, the most similar first."""
 
 ENOUGH_PAIR_MATCHES = 72
-"""So many are tried at once, twice what four poles have on each side, and no more where one of
-them is of a match of three poles or more. Beside a row of posts hundreds are alike, and the right
+"""Number tried at once, twice that of four poles on each side; no more are tried if one of them
+gives a match of three poles or more. Next to a row of posts hundreds are similar, and the right
 one is among the first."""
 
 MAX_HYPOTHESES = 16
-"""How many hypotheses go on to be scored by the scene: most poles, least expected error first."""
+"""Number of hypotheses that are scored by the scene: most poles, least expected error first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,7 +370,7 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
         pair = line_pair(points[0], first.direction, points[1], second.direction)
         sigma = float(np.hypot(direction_sigma(first), direction_sigma(second)))
         # The common perpendicular of leaning poles can lie metres beyond what is seen of them;
-        # there an error of direction moves the feet by that lever.
+        # there an error of direction moves the feet with that lever arm.
         feet = np.linalg.norm(pair.frame[:3, 3] - points, axis=1)
         index.append((i, j))
         frames.append(pair.frame)
@@ -376,8 +378,9 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
     return Pairs(index, frames, *np.array(rows).reshape(-1, 5).T)
 
 
-def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
-    """Rows of the pairs that agree in angle, distance and hand, within noise; most alike first."""
+def _similar(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
+    """Rows of the pairs that agree in angle, distance and hand, within noise; most similar
+    first."""
     sigma = np.hypot(target.sigma[:, None], source.sigma[None])
     angle_gap = np.abs(target.angle[:, None] - source.angle[None])
     angle_room = ANGLE_TOLERANCE + 3 * sigma
@@ -394,9 +397,9 @@ def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
     return [(int(rows[k]), int(columns[k])) for k in best]
 
 
-def are_alike(poles: Sequence[Pole], others: Sequence[Pole]) -> bool:
+def are_similar(poles: Sequence[Pole], others: Sequence[Pole]) -> bool:
     """Whether two of some poles may, within noise, stand to each other as two of the others do."""
-    return bool(_alike(all_pairs(poles), all_pairs(others)))
+    return bool(_similar(all_pairs(poles), all_pairs(others)))
 
 
 def _angle_between(a: Array, b: Array) -> float:
@@ -462,13 +465,13 @@ def every_match(
     """
     _check_poles(target, source, count or 2)
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)
-    every = _alike(pairs_target, pairs_source)
-    alike = every[:MAX_PAIR_MATCHES]
-    laid = Share(len(alike), len(every))
+    every = _similar(pairs_target, pairs_source)
+    similar = every[:MAX_PAIR_MATCHES]
+    laid = Share(len(similar), len(every))
     found: list[tuple[Match, Match]] = []
-    for k in range(0, len(alike), ENOUGH_PAIR_MATCHES):
+    for k in range(0, len(similar), ENOUGH_PAIR_MATCHES):
         found += _matched(
-            target, source, alike[k : k + ENOUGH_PAIR_MATCHES], pairs_target, pairs_source
+            target, source, similar[k : k + ENOUGH_PAIR_MATCHES], pairs_target, pairs_source
         )
         if any(len(whole.pairs) > 2 and whole.exact for _, whole in found):
             laid = Share(len(every), len(every))  # the others are not needed
@@ -484,8 +487,8 @@ def every_match(
             "no_match",
             f"none of the {counted(len(target), 'pole')} of the target and {len(source)} of the "
             f"source agree "
-            "in angle and distance: the LiDARs do not see the same two poles, or one moved; see "
-            "which poles were taken with 'retropole detect'",
+            "in angle and distance: the LiDARs do not see the same two poles, or one moved; check "
+            "with 'retropole detect' which poles were found",
             {"poles_target": len(target), "poles_source": len(source)},
         )
     agreeing = len(matches[0].pairs)
@@ -493,9 +496,9 @@ def every_match(
     if not matches:
         raise Refusal(
             "pole_count",
-            f"{counted(agreeing, 'pole agrees', 'poles agree')} between the LiDARs where "
-            f"{count} were asked for; see which "
-            "with 'retropole detect', and cover or remove what is no pole",
+            f"{counted(agreeing, 'pole agrees', 'poles agree')} between the LiDARs but "
+            f"{count} were requested; check with 'retropole "
+            "detect' which, and cover or remove other objects",
             {"agreeing": agreeing, "asked": int(count or 0)},
         )
     return EveryMatch(matches, laid)
@@ -504,7 +507,7 @@ def every_match(
 def _matched(
     target: Sequence[Pole],
     source: Sequence[Pole],
-    alike: Sequence[tuple[int, int]],
+    similar: Sequence[tuple[int, int]],
     pairs_target: Pairs,
     pairs_source: Pairs,
 ) -> list[tuple[Match, Match]]:
@@ -515,9 +518,9 @@ def _matched(
     list of (Match, Match)
         Of two poles, and of all that fall into place; of more than two and two only exact ones.
     """
-    ways = {column: pair_ways(pairs_source.frame[column]) for _, column in alike}
+    ways = {column: pair_ways(pairs_source.frame[column]) for _, column in similar}
     pairs, starts = [], []
-    for row, column in alike:
+    for row, column in similar:
         (i, j), both = pairs_target.index[row], pairs_source.index[column]
         for way, (first, second) in ways[column]:
             pairs.append(((i, both[first]), (j, both[second])))

@@ -1,11 +1,11 @@
 """Whether the objects in the scene confirm a pose, and how many of them could have contradicted it.
 
-That nothing conflicts with a pose shows little where nothing could: in a corridor of plain
-walls a pose may slide along them. So the same voxels are counted at other poses: the best shifts
-along the ground and off it, small turns about the vertical, and the other ways of laying the poles
-on each other. The pose must be better than all of them. Two measures, the share of the voxels that
-conflict with the pose and by how many σ it is better, make one figure: how many of such answers
-are wrong in simulation.
+The absence of conflicts shows little if no conflict was possible: in a corridor of
+plain walls a pose may slide along them. So the same voxels are counted at other poses: the
+best shifts along the ground and off it, small turns about the vertical, and the other ways of
+matching the poles. The pose must be better than all of them. Two measures, the share of the voxels
+that conflict with the pose and by how many σ it is better, are combined into one figure: the share
+of such answers that are wrong in simulation.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ..surfaces.consistency import (
 )
 from ..surfaces.static import recorded_together
 from ..surfaces.visibility import OVERLAP_DISTANCE
-from .correspondence import are_alike
+from .correspondence import are_similar
 from .placements import PairedPlacement, is_by_place
 
 MAX_CONFLICTING, MIN_TOTAL = 0.2, 60
@@ -43,8 +43,9 @@ pose of 200 hard scenes (benchmarks/hard_scenes.py, seeds below 200) the share w
 median and at most 5.7 %."""
 
 BETTER = 1.05
-"""By this factor more voxels agree where the scene fits better: by 1.09 and more for poles carried
-by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10 to 25)."""
+"""The scene fits better at a pose with more agreeing voxels by this factor: by 1.09 and more for
+poles carried by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10
+to 25)."""
 
 TURN = np.radians(15.0)
 """Poses turned by this amount about the vertical are compared with the pose, rad."""
@@ -54,12 +55,12 @@ MAX_RIVALS = 3
 surroundings gave the pose."""
 
 REDUNDANT_POLES = 3
-"""So many poles check each other: two fit a wrong pose as exactly as the right one."""
+"""Number of poles that check each other: two fit a wrong pose as exactly as the right one."""
 
 MAX_WRONG = 0.05
 """An answer is confirmed up to this share of wrong ones among simulated answers like it. At seeds
-20000 to 20022 of benchmarks/deception.py the least that a wrong answer states is 27 %; of 341 right
-ones 264 are confirmed with 5 %, 260 with 3 %, and 267 with 10 %."""
+20000 to 20022 of benchmarks/deception.py the smallest figure of a wrong answer is 27 %; of 341
+right ones 264 are confirmed with 5 %, 260 with 3 %, and 267 with 10 %."""
 
 
 def confirm(
@@ -86,7 +87,7 @@ def confirm(
     trusted
         Whether the user trusts the poles.
     deceiving
-        Share of recordings like these that deceive; None takes what the times of both allow.
+        Share of similar recordings with misleading poles; None chooses it by the times of both.
     """
     if is_by_place(paired):
         scenes = [under(grounds_of(each.placement, rng), T) for each in paired]
@@ -122,7 +123,9 @@ def confirm(
         deceiving=usual if deceiving is None else deceiving,
         along=_way(T, shifted[least]) if least < len(shifted) else None,
         z_margin=min(margins, default=0.0),
-        better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
+        better_at=_median_distance(T, min(better, key=lambda each: each[0])[1], points)
+        if better
+        else None,
         redundant=_are_redundant(paired)
         and not any(
             margin <= CLEAR_Z_MARGIN and _poles_against(paired, scenes, pose) < REDUNDANT_POLES
@@ -156,7 +159,7 @@ def grounds_of(
 def under(
     grounds: tuple[Sequence[SceneObjects], Sequence[SceneObjects]], T: Array
 ) -> tuple[SceneObjects, SceneObjects]:
-    """Choose the planes that a pose (4, 4) lays on each other; the first of each, where it none."""
+    """Choose the planes that coincide under a pose (4, 4); the first of each if none do."""
     every = list(product(*grounds))
     return next((pair for pair in every if is_ground_on_ground(*pair, T)), every[0])
 
@@ -212,7 +215,7 @@ def _way(T: Array, other: Array) -> Array:
 
 
 def _z_margin(here: Confirmation, there: Confirmation) -> float:
-    """By how many σ more voxels agree, and fewer conflict with, at one pose than at another."""
+    """By how many σ more voxels agree, and fewer conflict, at one pose than at another."""
     net = (here.agreeing - here.conflicting) - (there.agreeing - there.conflicting)
     return float(net / np.sqrt(here.total + there.total + 1))
 
@@ -220,8 +223,9 @@ def _z_margin(here: Confirmation, there: Confirmation) -> float:
 def _margin_in_map(scene: tuple[SceneObjects, SceneObjects], T: Array) -> Callable[[Array], float]:
     """Give by how many σ a pose (4, 4) in a map is better than another.
 
-    Most of a street agrees with either. So only what differs counts, and by blocks, since what one
-    thing says is said by many of its voxels: half of all blocks would prefer either pose by chance.
+    Most of a street agrees with either. So only the differences are used, and by blocks, since
+    the voxels of one object are not independent: by chance, half of all blocks would prefer either
+    pose.
     """
     here, block = verdicts(*scene, T), blocks(*scene, T)
 
@@ -232,7 +236,7 @@ def _margin_in_map(scene: tuple[SceneObjects, SceneObjects], T: Array) -> Callab
     return margin
 
 
-def _apart(T: Array, other: Array, points: Array) -> float:
+def _median_distance(T: Array, other: Array, points: Array) -> float:
     """Median distance of the points of the source under two poses, metres."""
     points = points if len(points) else np.zeros((1, 3))
     return float(np.median(np.linalg.norm(se3.apply(T, points) - se3.apply(other, points), axis=1)))
@@ -250,8 +254,8 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
         return True
     two = [each for each in paired if len(each.target_poles) == 2]
     return any(
-        not are_alike(one.target_poles, other.target_poles)
-        and not are_alike(one.source_poles, other.source_poles)
+        not are_similar(one.target_poles, other.target_poles)
+        and not are_similar(one.source_poles, other.source_poles)
         for one, other in combinations(two, 2)
     )
 
@@ -259,10 +263,11 @@ def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
 def _poles_against(
     paired: Sequence[PairedPlacement], scenes: Sequence[tuple[SceneObjects, SceneObjects]], T: Array
 ) -> int:
-    """How many pairs of poles lie on nothing of the other cloud under another pose (4, 4).
+    """Number of pairs of poles that coincide with nothing in the other cloud under another pose (4,
+    4).
 
-    Posts of a row lie on their neighbours where it is shifted by a post: only the poles that do not
-    speak against the shift, and one or two may have been carried.
+    Posts of a row lie on their neighbours where it is shifted by a post: only these poles do not
+    contradict the shift, and one or two may have been carried.
     """
     return sum(
         not (coincides(target.xyz, there, se3.inverse(T)) or coincides(source.xyz, here, T))
@@ -272,7 +277,7 @@ def _poles_against(
 
 
 def is_in_conflict(found: Confirmation) -> bool:
-    """Whether so many voxels conflict with a pose that nothing else makes up for it."""
+    """Whether the number of voxels that conflict with a pose is decisive by itself."""
     return found.total >= MIN_TOTAL and found.contradicted > MAX_CONFLICTING
 
 
@@ -290,9 +295,10 @@ def check_confirmation(found: Confirmation) -> None:
     elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
     raise Refusal(
         "scene_contradicts",
-        f"under the pose that the poles give, of the patches off the ground {found.counts} "
-        f"({found.contradicted:.0%} against it; {MAX_CONFLICTING:.0%} are allowed){elsewhere}: did "
-        "a pole move between the recordings, or are they of two placements?",
+        f"under the pose that the poles give, of the patches above the ground {found.counts} "
+        f"({found.contradicted:.0%} contradict it; {MAX_CONFLICTING:.0%} are "
+        f"allowed){elsewhere}: did a pole move between the recordings, or are these two "
+        "different placements?",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
@@ -305,16 +311,16 @@ def check_confirmation(found: Confirmation) -> None:
 
 
 def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
-    """Warn where the scene does not confirm the pose, and nobody trusts the poles."""
+    """Warn if the scene does not confirm the pose, and the user does not trust the poles."""
     wrong = found.probability_wrong
     if found.trusted or wrong is None or wrong <= MAX_WRONG:
         return
     yield Reason(
         "not_confirmed",
         f"chance of a wrong pose: {found.chance_words}; {100 * MAX_WRONG:.0f} % is allowed. Scene "
-        f"check: {found.counts}, {_lead_words(found.z_margin or 0.0)}. "
-        f"{_held_by_poles(found)}. If nobody touched them from one recording to the "
-        "other, --trust-poles says so; otherwise add another pole or another placement",
+        f"check: {found.counts}, {_margin_words(found.z_margin or 0.0)}. "
+        f"{_constrained_by_poles(found)}. If nobody touched the poles between the recordings, "
+        "give --trust-poles; otherwise add another pole or another placement",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
@@ -327,15 +333,15 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
     )
 
 
-def _lead_words(sigmas: float) -> str:
-    """Say how this pose compares with the best of others."""
+def _margin_words(sigmas: float) -> str:
+    """Describe how this pose compares with the best of the others."""
     if sigmas < 0.0:
         return f"worse than another pose by {-sigmas:.1f} σ"
     return f"better than other poses by {sigmas:.1f} σ"
 
 
-def _held_by_poles(found: Confirmation) -> str:
-    """Say which direction only the poles constrain, where they cannot check each other."""
+def _constrained_by_poles(found: Confirmation) -> str:
+    """Describe the direction that only the poles constrain, if they cannot check each other."""
     if found.along is None:
         return "Only the poles constrain the pose"
     x, y, z = found.along

@@ -1,8 +1,8 @@
-"""Hypotheses settle: the scene moves each as far as its poles allow.
+"""Refinement of hypotheses by ICP of the scene, as far as their poles allow.
 
-Poles with few returns leave degrees of the pose open, and a scene that is turned by three degrees
-overlaps little. Registered from the right hypothesis, the scenes come to coincide where
-the poles still fit; from a wrong one they end elsewhere, or fit no better. See
+Poles with few returns determine the pose only to some degrees, and a scene that is rotated by
+three degrees overlaps little. Registered from the right hypothesis, the scenes come to coincide
+where the poles still fit; from a wrong one they end at another pose, or fit no better. See
 docs/evidence/detection.md, Candidate poles.
 """
 
@@ -29,14 +29,14 @@ from .correspondence import exact_rms, same_pose
 
 ICP_DISTANCES = 1.0, 0.5, 0.25
 """Largest distances of corresponding points, one registration after the other, metres. The first is
-3° at 20 m, what poles of few returns do not determine. With it alone sparse scans slide: from 12
+3° at 20 m, what poles of few returns do not determine. With it alone sparse scans drift: from 12
 right hypotheses of hard scenes (benchmarks/hard_scenes.py, seeds below 1000) three ended more than
 3° off and one 0.3 m, with all three no more than 1.5° and 0.09 m."""
 
 ICP_REACH = 3.0
-"""Source points farther from the target at the start take no part, metres. What is farther than the
-first of these distances and 2 m can only come into it where the pose moves by more than poles
-allow, and looking for the neighbours of such points is what takes the time of a registration."""
+"""Source points farther from the target at the start are left out, metres. Points farther than
+the first of these distances plus 2 m could only be used if the pose moved by more than
+the poles allow, and the search for their neighbours dominates the time of a registration."""
 
 ICP_STEPS, STEPS_AT_ONCE = 30, 5
 """Steps of one registration, and after how many of them the motion is checked: most
@@ -54,7 +54,7 @@ def refine_by_icp(
     target_poles: Sequence[Pole],
     source_poles: Sequence[Pole],
 ) -> list[Match]:
-    """Register the scenes from every exact hypothesis, and keep the end where the poles allow it.
+    """Register the scenes from every exact hypothesis, and keep the result if the poles allow it.
 
     Parameters
     ----------
@@ -68,14 +68,14 @@ def refine_by_icp(
     Returns
     -------
     list of Match
-        With `icp_refined` and the pose of the registration's end where the lines are still an exact
-        match there, within `exact_rms`; as they were elsewhere. Of those that end in the same pose
+        With `icp_refined` and the pose of the registration's end if the lines are still an exact
+        match there, within `exact_rms`; otherwise unchanged. Of those that end in the same pose
         only the first.
 
     Raises
     ------
     Refusal
-        ``too_few_points`` where the target is too small to register.
+        ``too_few_points`` if the target is too small to register.
     """
     surface, tree = prepared(target)
     points = voxel_downsample(source.xyz, SCORING_VOXEL)
@@ -100,7 +100,7 @@ def prepared(cloud: PointCloud) -> tuple[Surface, cKDTree]:
     Raises
     ------
     Refusal
-        ``too_few_points`` where it is too small to register.
+        ``too_few_points`` if it is too small to register.
     """
     surface = prepare(cloud.xyz, SCORING_VOXEL)
     return surface, tree_of(surface.xyz)
@@ -115,7 +115,7 @@ def registered(
     near: se3.PoseDifference | None = None,
     at: Array | None = None,
 ) -> Array | None:
-    """Register the scenes from a pose (4, 4), by what lies within `ICP_REACH` of each other.
+    """Register the scenes from a pose (4, 4), by the points within `ICP_REACH` of each other.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def registered(
     T
         The start.
     near
-        How far the registrations may move `at` from the start; None lets them go anywhere.
+        How far the registrations may move `at` from the start; None is no limit.
     at
         (3,) a point of the source, metres; None takes its origin.
 
@@ -134,7 +134,7 @@ def registered(
     -------
     Array or None
         (4, 4); None if fewer than `MIN_CLOUD_POINTS` coincide at the start or the end,
-        and where it moves too far.
+        or it moves too far.
     """
     apart, _ = tree.query(se3.apply(T, source), distance_upper_bound=ICP_REACH)
     close = source[np.isfinite(apart)]
@@ -163,7 +163,7 @@ def registered(
 
 
 def rms_after(match: Match, T: Array, count: int) -> float:
-    """Residual of a match's poles under another pose near its own, metres.
+    """Residual of a match's poles under another pose near that of the match, metres.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
-"""Which hypotheses of all pairs go together: the poses that most of what was seen agrees with.
+"""Consistent hypotheses of all pairs: the poses with which most observations agree.
 
-What one pair of LiDARs cannot decide the others may: around a loop the poses of the pairs must
-compose to the identity, and a third LiDAR that both see ties them. Poses are given to one LiDAR
-after the other, each from a hypothesis of a pair with one that has its pose already; where a
-hypothesis of a pair is met, the poles that agree under it count. The choice with the largest count
-is found by branch and bound, and with it every other one with the same count: then the data do not
-decide.
+What one pair of LiDARs cannot decide, others may: around a loop the poses of the pairs must
+compose to the identity, and a third LiDAR with poles in common with both constrains them. Poses
+are given to one LiDAR after the other, each from a hypothesis of a pair with one that has its pose
+already; if a pose agrees with a hypothesis of a pair, the poles that agree under it are counted.
+The choice with the largest count is found by branch and bound, and with it every other one with
+the same count: then the data do not decide.
 
 Before that it is checked whether the LiDARs are linked at all.
 """
@@ -26,23 +26,23 @@ from .placements import AGREE_ANGLE
 from .scans import SiteScans
 
 WITHOUT_SCENE = 0.25
-"""Poles of a pair whose scenes do not overlap count so much: that they have one shape may be
-chance, but the more poles, the less likely that is."""
+"""Weight of the poles of a pair whose scenes do not overlap: the same shape may be chance,
+but the more poles, the less likely that is."""
 
 UNLIKELY = 0.6
 """A hypothesis that fits the scene less well than the best, but is not ruled out, has
 this part of the count: a loop that closes with two of them is more than one that does not close."""
 
 EQUAL = 0.02
-"""Choices whose counts differ by less are equally good: by less than any pole of a pair counts."""
+"""Choices whose counts differ by less are equally good: it is less than the count of any pole."""
 
 ELSEWHERE = 2.0
-"""A LiDAR is at another place in another choice beyond this many times the poles' uncertainty:
-from two LiDARs that see it poorly its pose may come out twice, one on each side of the right
-one."""
+"""A LiDAR has another pose in another choice if it differs by more than this many times the
+uncertainty of the poles: from two LiDARs that see it poorly, its pose may result twice, one on
+each side of the right one."""
 
 MOST_STEPS = 60_000
-"""Steps of the search at most: cranes and posts with 12 LiDARs took 26,000 and 50,000."""
+"""Maximum number of steps of the search: cranes and posts with 12 LiDARs took 26,000 and 50,000."""
 
 MOST_RIVALS = 8
 """Number of equally good choices that suffice to show where they differ."""
@@ -50,14 +50,14 @@ MOST_RIVALS = 8
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Poses of some LiDARs that go together.
+    """Consistent poses of some LiDARs.
 
     Attributes
     ----------
     poses
         From index of the LiDAR to (4, 4), in the frame of the first.
     count
-        How much of what was seen agrees with them.
+        Amount of observations that agree with them.
     """
 
     poses: dict[int, Array]
@@ -73,9 +73,9 @@ class Choices:
     best
         The one with the largest count, and of those the largest score of the scene.
     rivals
-        Others with the same count, in which at least one LiDAR is at another place.
+        Others with the same count, in which at least one LiDAR has another pose.
     complete
-        Whether the search came to its end.
+        Whether the search was completed.
     """
 
     best: Choice
@@ -133,19 +133,19 @@ class _Search:
     """Branch and bound over the poses of one LiDAR after the other.
 
     `most` is what two LiDARs can count at most, `between` their possible poses, of points of the
-    second in the frame of the first; both for either order. The same poses come up by thousands of
-    ways: `beside`, `same` and `gains` remember by identity what was found of them, which `beside`
-    and the choice that the search starts from keep alive. `known` has one of each LiDAR's poses
-    that are the same, `numbers` which of them each is, and `reached` what the LiDARs counted when
-    their poses were last the same: whoever comes there with no more finds nothing new. `still` has
-    the most that LiDARs without a pose can add.
+    second in the frame of the first; both for either order. The same poses result in thousands of
+    ways: `via`, `same` and `gains` store by identity the results for them, which `via` and the
+    choice that the search starts from keep alive. `known` has one of each set of equal poses of a
+    LiDAR, `numbers` the number of that set for each pose, and `reached` the count of the LiDARs
+    when their poses were last the same: a branch that arrives there with no larger count finds
+    nothing new. `still` has the largest count that LiDARs without a pose can add.
     """
 
     pairs: dict[tuple[int, int], Pair]
     poles: Sequence[Array]
     most: dict[tuple[int, int], float]
     between: dict[tuple[int, int], list[Array]]
-    beside: dict[tuple[int, int], list[Array]] = field(default_factory=dict)
+    via: dict[tuple[int, int], list[Array]] = field(default_factory=dict)
     same: dict[tuple[int, int], bool] = field(default_factory=dict)
     gains: dict[tuple[int, int], float] = field(default_factory=dict)
     known: dict[int, Array] = field(default_factory=dict)
@@ -157,7 +157,8 @@ class _Search:
     found: list[Choice] = field(default_factory=list)
 
     def run(self, so_far: Choice, left: list[int], unlinked: list[int]) -> None:
-        """Give poses to those left; the unlinked have none by those that have one already."""
+        """Give poses to the remaining LiDARs; the unlinked have none from those that already have
+        one."""
         self.steps += 1
         if self.steps > MOST_STEPS:
             return
@@ -208,10 +209,10 @@ class _Search:
         self.found = kept[:MOST_RIVALS]
 
     def _options(self, so_far: Choice, lidar: int) -> list[tuple[Array, float]]:
-        """Poses of a LiDAR by the hypotheses of its pairs, with what each would count."""
+        """Poses of a LiDAR by the hypotheses of its pairs, with the count of each."""
         poses: list[Array] = []
         for other, T_other in so_far.poses.items():
-            for T in self._beside(other, T_other, lidar):
+            for T in self._poses_via(other, T_other, lidar):
                 if not any(self._is_same(lidar, T, known) for known in poses):
                     poses.append(T)
         gains = [
@@ -219,13 +220,13 @@ class _Search:
         ]
         return sorted(gains, key=lambda each: -each[1])
 
-    def _beside(self, other: int, T_other: Array, lidar: int) -> list[Array]:
+    def _poses_via(self, other: int, T_other: Array, lidar: int) -> list[Array]:
         """Poses of a LiDAR by the hypotheses of its pair with another."""
         key = id(T_other), lidar
-        if key not in self.beside:
+        if key not in self.via:
             between = self.between.get((other, lidar), ())
-            self.beside[key] = [np.asarray(T_other @ T) for T in between]
-        return self.beside[key]
+            self.via[key] = [np.asarray(T_other @ T) for T in between]
+        return self.via[key]
 
     def _is_same(self, lidar: int, T: Array, known: Array) -> bool:
         key = id(T), id(known)
@@ -234,7 +235,7 @@ class _Search:
         return self.same[key]
 
     def _gain(self, lidar: int, T: Array, other: int, T_other: Array) -> float:
-        """What a LiDAR's pose counts together with one other."""
+        """Count of a LiDAR's pose together with one other."""
         key = id(T), id(T_other)
         if key not in self.gains:
             pair = self._pair(other, lidar)
@@ -250,11 +251,11 @@ class _Search:
         return self.pairs.get((min(a, b), max(a, b)))
 
     def _most_of(self, placed: Iterable[int], lidar: int) -> float:
-        """Most that a LiDAR can count together with others."""
+        """Largest count of a LiDAR together with others."""
         return sum(self.most.get((other, lidar), 0.0) for other in placed)
 
     def _most(self, left: Sequence[int]) -> float:
-        """Most that all that is left can still add."""
+        """Largest count that the remaining LiDARs can still add."""
         waiting = frozenset(left)
         if waiting not in self.still:
             touched = (pair for pair in self.pairs if not waiting.isdisjoint(pair))
@@ -263,18 +264,18 @@ class _Search:
 
 
 def weight_of(pair: Pair, hypothesis: Hypothesis) -> float:
-    """What a hypothesis of a pair counts."""
+    """Count of a hypothesis of a pair."""
     by_scene = 1.0 if pair.overlaps else WITHOUT_SCENE
     return by_scene * hypothesis.evidence * (1.0 if hypothesis.stands else UNLIKELY)
 
 
 def most_of(pair: Pair) -> float:
-    """Most that a pair can count."""
+    """Largest count of a pair."""
     return max(weight_of(pair, each) for each in pair.possible)
 
 
 def _scene_score(choice: Choice, search: _Search) -> float:
-    """Sum of the scene's scores of all hypotheses that a choice meets."""
+    """Sum of the scene's scores of all hypotheses with which a choice agrees."""
     score = 0.0
     for (first, second), pair in search.pairs.items():
         T = se3.inverse(choice.poses[first]) @ choice.poses[second]
@@ -284,14 +285,14 @@ def _scene_score(choice: Choice, search: _Search) -> float:
 
 
 def _differs(one: Choice, other: Choice, poles: Sequence[Array]) -> bool:
-    """Whether some LiDAR is at another place, as its poles show."""
+    """Whether some LiDAR has another pose, judged by its poles."""
     return any(
         not is_same_pose(T, other.poses[i], poles[i], ELSEWHERE) for i, T in one.poses.items()
     )
 
 
 def where_they_differ(best: Choice, rival: Choice, poles: Sequence[Array]) -> list[int]:
-    """LiDARs that two choices place elsewhere."""
+    """LiDARs that have different poses in two choices."""
     return [
         i for i, T in best.poses.items() if not is_same_pose(T, rival.poses[i], poles[i], ELSEWHERE)
     ]
@@ -310,7 +311,7 @@ def check_linked(
     if len(groups) == 1:
         return
     if len(site.lidars) == 2:
-        # As of a pair: what keeps it from an answer is no matter of the site.
+        # As for a pair: the reason is not specific to sites.
         for refusal in (*(refusal for _, refusal in scans.faults), pairs[0].refusal):
             if refusal is not None:
                 raise Refusal(refusal.code, refusal.message, refusal.values)
@@ -327,7 +328,7 @@ def check_linked(
     other = f", or correct the files: {unmatched} see poles that do not match" if unmatched else ""
     raise Refusal(
         "disconnected",
-        f"the LiDARs fall into {len(groups)} groups that share no two poles: {named}; add a "
+        f"the LiDARs fall into {len(groups)} groups without two poles in common: {named}; add a "
         "placement with two poles that LiDARs of both groups see" + other,
         {"groups": len(groups), "names": named, "unmatched": unmatched},
     )
@@ -338,7 +339,7 @@ def _unmatched(
 ) -> Iterator[str]:
     """Name LiDARs of two groups that both see three poles of a placement, of which no two match.
 
-    Two may be others; of three that stand about both something is wrong more likely.
+    Two may be other poles; with three near both, an error is more likely.
     """
     group_of = {i: number for number, group in enumerate(groups) for i in group}
     for pair in pairs:

@@ -1,13 +1,13 @@
-"""LiDARs that their confirmed poles link to no other: candidate poles may, where the scene confirms
-them.
+"""Links by candidate poles that the scene confirms, for LiDARs without a link by confirmed
+poles.
 
-As for a pair alone (`candidate_confirmation`): two lines that both LiDARs see at one angle and
-distance, under a pose at which the scenes coincide and at no other.
+As for a single pair (`candidate_confirmation`): two lines that both LiDARs see with the same angle
+and distance, under a pose at which the scenes coincide, and at no other.
 
-LiDARs that share a single pole with others are linked where the surroundings of that pole give the
-rest of the pose. As for a pair alone (`by_place`): the surroundings must lead all other angles
-about the pole, and the objects in the scene must confirm the pose. Only LiDARs that nothing else
-links are tried, so that all others are answered as without.
+LiDARs with a single pole in common with others are linked if the surroundings of that pole
+determine the rest of the pose. As for a single pair (`by_place`): the pose must be better than all
+other angles about the pole, and the objects in the scene must confirm it. Only LiDARs without
+another link are tried, so that the answers for all others are unchanged.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from .search import (
 )
 
 MOST_TRIED = 12
-"""At most this many pairs are tried: each takes as long as half of a pair's calibration."""
+"""Maximum number of pairs that are tried: each takes as long as half of a pair's calibration."""
 
 
 def link_by_candidates(
     scans: SiteScans, pairs: Sequence[Pair], radius: float
 ) -> tuple[SiteScans, tuple[Pair, ...]]:
-    """Link groups of LiDARs by candidate poles, until all are linked or nothing more is found.
+    """Link groups of LiDARs by candidate poles, until all are linked or no more are found.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def link_by_candidates(
 
 
 def with_own_candidates(scans: SiteScans, radius: float) -> SiteScans:
-    """Count the candidate poles of recordings with fewer than two confirmed ones.
+    """Add the candidate poles to recordings with fewer than two confirmed ones.
 
     They are no evidence by themselves: only a loop that closes with them, and with no other choice,
     confirms them.
@@ -94,7 +94,7 @@ def between_groups(
     scans: SiteScans, pairs: Sequence[Pair], *, by_two: bool = True
 ) -> Iterator[tuple[int, int]]:
     """Pairs of LiDARs of different groups: those first whose recordings have most poles of either
-    kind. Where one has two confirmed ones, and two are requested, a lower threshold may show those
+    kind. If one has two confirmed ones, and two are requested, a lower threshold may show those
     of the other.
     """
     groups = linked_groups(len(scans.by_lidar), pairs)
@@ -120,7 +120,7 @@ def _both(scans: SiteScans, i: int, j: int) -> Iterator[tuple[Scan, Scan]]:
 
 
 def _candidates(scan: Scan) -> int:
-    """How many clusters may be poles."""
+    """Number of clusters that may be poles."""
     found = scan.detection
     return 0 if found is None else len(found.poles) + len(found.rejected)
 
@@ -154,7 +154,7 @@ def _untimed(step: str) -> AbstractContextManager[None]:
 
 
 def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen, *, by_place: bool) -> Pair:
-    """State a choice as that of a pair: what was not chosen is none to choose from."""
+    """Express a choice as that of a pair: hypotheses that were not chosen are left out."""
     hypotheses = tuple(
         replace(
             each,
@@ -170,7 +170,7 @@ def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen, *, by_place: 
 def with_chosen_poles(
     scans: SiteScans, lidars: tuple[int, int], placement: int, chosen: Chosen
 ) -> SiteScans:
-    """Count the poles that a choice pairs among those of both LiDARs in a placement."""
+    """Add the poles that a choice pairs to those of both LiDARs in a placement."""
     rows = [list(row) for row in scans.by_lidar]
     paired = chosen.paired[0]
     for lidar, poles in zip(lidars, (paired.target_poles, paired.source_poles), strict=True):
@@ -191,10 +191,10 @@ def _counting(scan: Scan, poles: Sequence[Pole]) -> Scan:
 def link_by_place(
     scans: SiteScans, pairs: Sequence[Pair], radius: float
 ) -> tuple[SiteScans, tuple[Pair, ...]]:
-    """Link groups of LiDARs by one pole that both see, where the surroundings give the rest.
+    """Link groups of LiDARs by one pole that both see, if the surroundings determine the rest.
 
-    Every pair between two groups is tried: where two of them give different poses, they do not
-    fit together (`joint_choice.choose_poses`), and the site has no answer.
+    Every pair between two groups is tried: if two of them give different poses, they are
+    not consistent (`joint_choice.choose_poses`), and the site has no answer.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def link_by_place(
     Returns
     -------
     SiteScans, tuple of Pair
-        With the candidate poles that are confirmed among the poles, and the pairs that the place
-        links, `Pair.by_place`.
+        With the candidate poles that are confirmed among the poles, and the pairs linked by the
+        surroundings, `Pair.by_place`.
     """
     found = {pair.lidars: pair for pair in pairs}
     for lidars in list(between_groups(scans, pairs, by_two=False))[:MOST_TRIED]:

@@ -41,7 +41,7 @@ from .icp_refinement import prepared, registered
 from .prior import PosePrior
 
 CELL = 0.5
-"""Side of a cell, metres. Points up to `HALF_SIDE` from a pole, or from their LiDAR, count."""
+"""Side of a cell, metres. Points up to `HALF_SIDE` from a pole, or from their LiDAR, are used."""
 
 ANGLES = 360
 """Cells about the pole: 0.5 m wide at 30 m."""
@@ -50,41 +50,43 @@ RINGS = int(HALF_SIDE / CELL)
 """Cells away from the pole, and along it, of which `SLIDE` at either end stay empty."""
 
 SLIDE = int(MAX_LENGTH / CELL)
-"""Slides that are tried, in cells. The middles of what two LiDARs see of one pole lie no farther
-apart than it is long."""
+"""Slides that are tried, in cells. The distance between the middles of what two LiDARs see of one
+pole is at most its length."""
 
-POSES_APART = np.radians(8.0), 1.2
+DISTINCT_POSES = np.radians(8.0), 1.2
 """Peaks nearer to each other than this are one, rad and m."""
 
 MOST_POLES, MOST_SETTLED = 4, 6
 """Number of poles of each LiDAR that are aligned with the other's, the best supported first; and
-number of the peaks with either end up, the highest first, that are looked at. Of 121 poles
+number of the peaks with either end up, the highest first, that are used. Of 121 poles
 (benchmarks/hard_scenes.py, seeds 0 to 59) the right pose is the highest with its end up for 120,
-and of 67 before LiDARs on masts of 4 to 8 m (benchmarks/masts.py, seed 5) for 63; with the ground
-among the points for 61, since that lies on itself at many angles. With three peaks, the like of
-the right pose on a quay that a half turn maps onto itself was missed."""
+and of 67 in view of LiDARs on masts of 4 to 8 m (benchmarks/masts.py, seed 5) for 63; with the
+ground among the points for 61, since the ground coincides at many angles. With three peaks, the
+counterpart of the right pose on a quay that is symmetric under a half turn was missed."""
 
 LOW = 0.6
-"""A peak below this part of the highest with the same end up does not settle: it is only compared
-with. Each takes three registrations."""
+"""A peak below this part of the highest with the same end up is not refined, but used for
+comparison only. Each refinement takes three registrations."""
 
 SETTLES = se3.PoseDifference(float(np.radians(5.0)), 1.0)
 """Scenes that coincide converge within this about the pole, rad and m. The poses of 17
-recordings with one alone that came to anything (benchmarks/deception.py, "one pole, nothing wrong",
+recordings with one pole only that gave a result (benchmarks/deception.py, "one pole, nothing
+wrong",
 seeds 100 to 131) moved by at most 1.3° and 0.26 m, most of the others by 10° or 2 m and more."""
 
 LAID_RMS = 0.1
-"""Residual of the poles where the scenes coincide, at most, metres, in addition to what the sides
-of a pole are apart: registrations of sparse clouds are off by this amount. What the poles
-determine more exactly is used later."""
+"""Largest residual of the poles if the scenes coincide, metres, in addition to the distance
+between the sides of a pole: registrations of sparse clouds are off by this amount. The more
+precise information of the poles is used later."""
 
-NOTHING_SAID = np.zeros((6, 6))
+NO_INFORMATION = np.zeros((6, 6))
 """Information that such a match gives about its pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class Peak:
-    """A pose (4, 4) about a pair of poles, which end is up, and how much of the place coincides."""
+    """A pose (4, 4) about a pair of poles, which end is up, and the amount of the surroundings that
+    coincides."""
 
     pair: tuple[int, int]
     is_flipped: bool
@@ -95,7 +97,7 @@ class Peak:
 def matches_about(
     placement: Placement, standing: tuple[SceneObjects, SceneObjects], radius: float
 ) -> list[Match]:
-    """Find the poses that lay one pole on one pole and the surroundings on each other.
+    """Find the poses under which one pole and the surroundings coincide.
 
     Parameters
     ----------
@@ -109,8 +111,8 @@ def matches_about(
     Returns
     -------
     list of Match
-        In the order of how much of the place coincides: where the scenes coincide and the
-        poles still do, `exact`; as the poles were laid, and not `exact`, where they no longer do.
+        Sorted by the amount of the surroundings that coincides: if the scenes coincide and the
+        poles still do, `exact`; as the poles were matched, and not `exact`, if they no longer do.
     """
     target, source = placement.scans
     every = sorted(_peaks(target, source, standing), key=lambda peak: -peak.height)
@@ -129,7 +131,7 @@ def matches_about(
         T = None if is_low else settled(peak.T, pole)
         match = None if T is None else match_under(target.poles, source.poles, T, apart)
         if match is None or peak.pair not in match.pairs or not match.exact:
-            match = Match((peak.pair,), peak.T, 0.0, False, True, NOTHING_SAID, by_place=True)
+            match = Match((peak.pair,), peak.T, 0.0, False, True, NO_INFORMATION, by_place=True)
         if not any(same_pose(match, other, at) for other in found):
             found.append(match)
     return found
@@ -142,7 +144,8 @@ def _ends(_: PointCloud) -> WeakKeyDictionary[PointCloud, dict[bytes, Array | No
 
 
 def _settling(placement: Placement) -> Callable[[Array, Array], Array | None]:
-    """Give what registers the scenes from a pose (4, 4), within `SETTLES` of a point (3,) of it.
+    """Return a function that registers the scenes from a pose (4, 4), within `SETTLES` of a point
+    (3,) of it.
 
     Searches with other poles start at much the same poses, and each registers once.
     """
@@ -161,10 +164,11 @@ def _settling(placement: Placement) -> Callable[[Array, Array], Array | None]:
 
 
 def registered_in_map(placement: Placement, T: Array) -> Array:
-    """Register a LiDAR from a pose (4, 4) to what cannot have driven off since a map was made.
+    """Register a LiDAR from a pose (4, 4) to objects that cannot have driven off since a map was
+    made.
 
-    Cars that stand near where others stood draw a registration to all surfaces along with them.
-    Where too little is left the pose is given back.
+    Cars near the former positions of others bias a registration to all surfaces. If
+    too little is left, the pose is returned unchanged.
     """
     target, source = (averaged(scan.cloud) for scan in placement.scans)
     points = voxel_downsample(target.xyz, SCORING_VOXEL)
@@ -179,7 +183,7 @@ def registered_in_map(placement: Placement, T: Array) -> Array:
 def match_under(
     target: Sequence[Pole], source: Sequence[Pole], T: Array, apart: float
 ) -> Match | None:
-    """State a pose as a match of every pole that lies on one under it; None without any.
+    """Express a pose as a match of every pole that coincides with one under it; None without any.
 
     Parameters
     ----------
@@ -194,12 +198,19 @@ def match_under(
     squares = np.concatenate([_off_line(target[i], source[j], T) for i, j in pairs]) ** 2
     rms = float(np.sqrt(squares.mean()))
     return Match(
-        pairs, T, rms, rms <= LAID_RMS + apart, True, NOTHING_SAID, icp_refined=True, by_place=True
+        pairs,
+        T,
+        rms,
+        rms <= LAID_RMS + apart,
+        True,
+        NO_INFORMATION,
+        icp_refined=True,
+        by_place=True,
     )
 
 
 def _off_line(target: Pole, source: Pole, T: Array) -> Array:
-    """(N,) how far the returns on a pole of the source lie from the target's line, metres."""
+    """(N,) distances of the returns on a pole of the source from the target's line, metres."""
     away = se3.apply(T, source.xyz) - target.point
     return se3.lengths(np.cross(away, target.direction))
 
@@ -243,14 +254,14 @@ def _spectrum(points: Array) -> NDArray[np.complex64]:
     kept = (ring > 0) & (ring < RINGS) & (np.abs(layer) < RINGS // 2 - SLIDE)
     grid = np.zeros((RINGS, ANGLES, RINGS), dtype=np.float32)
     grid[ring[kept], angle[kept].astype(np.intp) % ANGLES, layer[kept] % RINGS] = 1.0
-    # Near the pole cells are narrow, and one thing fills many.
+    # Near the pole cells are narrow, and one object fills many.
     width = (np.arange(RINGS) + 0.5) * CELL * (2 * np.pi / ANGLES)
     grid *= np.sqrt(np.minimum(width / SCORING_VOXEL, 1.0, dtype=np.float32))[:, None, None]
     return np.asarray(fft.rfft2(grid))
 
 
 def spread(spectrum: NDArray[np.complex64], sizes: tuple[int, int]) -> NDArray[np.complex64]:
-    """Let every cell count half in its neighbours, too: surfaces are sampled at other points.
+    """Add half of every cell to its neighbours: surfaces are sampled at other points.
 
     Parameters
     ----------
@@ -269,14 +280,15 @@ def spread(spectrum: NDArray[np.complex64], sizes: tuple[int, int]) -> NDArray[n
 
 
 def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]:
-    """The turns, rad, and slides, metres, at which most cells coincide, and how many do."""
+    """The turns, rad, and slides, metres, at which most cells coincide, and the number that
+    does."""
     for _ in range(MOST_SETTLED):
         k, m = np.unravel_index(int(np.argmax(total)), total.shape)
         height = float(total[k, m])
         if height <= 0:
             return
         yield 2 * np.pi * float(k) / ANGLES, CELL * float(m - SLIDE), height
-        about, along = int(POSES_APART[0] / (2 * np.pi) * ANGLES), int(POSES_APART[1] / CELL)
+        about, along = int(DISTINCT_POSES[0] / (2 * np.pi) * ANGLES), int(DISTINCT_POSES[1] / CELL)
         turns = np.arange(k - about, k + about + 1) % ANGLES
         total[turns, max(m - along, 0) : m + along + 1] = 0.0
 
@@ -285,19 +297,19 @@ TURNS = 240
 """Rotations that are tried: 1.5° apart, 0.8 m at `HALF_SIDE`."""
 
 CELLS = RINGS * 4
-"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart see no point near one
-that lies there only since FFTs wrap."""
+"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart have no points that are
+near each other only because FFTs wrap."""
 
 HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])
 """Limits of the layers, metres above the ground: thin where cars, fences and people are."""
 
 PER_TURN = 3
-"""Shifts that are looked at for each rotation, where most cells coincide."""
+"""Number of shifts that are used for each rotation, those at which most cells coincide."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroundPeak:
-    """A pose (4, 4), and how much of the place coincides."""
+    """A pose (4, 4), and the amount of the surroundings that coincides."""
 
     T: Array
     height: float
@@ -309,24 +321,24 @@ def matches_from_above(
     radius: float | None = None,
     prior: PosePrior | None = None,
 ) -> list[Match]:
-    """Find the poses that lay the ground on the ground and the surroundings on each other.
+    """Find the poses under which the grounds and the surroundings coincide.
 
     Parameters
     ----------
     placement
         With both clouds.
     grounds
-        What stands off each plane that may be the ground, in either cloud.
+        Objects above each plane that may be the ground, in either cloud.
     radius
-        Of the poles, metres, of which one at least must lie on one, too; None requires none.
+        Of the poles, metres, of which at least one pair must coincide, too; None requires none.
     prior
-        Others than the poses that it allows are not looked for.
+        Only poses that it allows are searched for.
 
     Returns
     -------
     list of Match
-        In the order of how much of the place coincides: where the scenes and the poles lie on each
-        other, `exact`; without any pair, and not `exact`, where they do not.
+        Sorted by the amount of the surroundings that coincides: if the scenes and the poles
+        coincide, `exact`; without any pair, and not `exact`, if they do not.
     """
     poles = placement.target.poles, placement.source.poles
     settled, origin = _settling(placement), np.zeros(3)
@@ -338,7 +350,7 @@ def matches_from_above(
             T = None if is_low else settled(peak.T, origin)
             match = _laid(peak.T)
             if T is not None and is_ground_on_ground(*standing, T):
-                # Where no pole lies on one it is compared as it converged, at its best.
+                # If no poles coincide, the pose is used for comparison as it converged.
                 match = replace(_laid(T), exact=radius is None, icp_refined=True)
                 on_poles = None if radius is None else match_under(*poles, T, FACING_SIDES * radius)
                 match = on_poles if on_poles is not None and on_poles.exact else match
@@ -349,8 +361,8 @@ def matches_from_above(
 
 
 def _laid(T: Array) -> Match:
-    """State a pose (4, 4) as a match of no poles, which need not be `exact`."""
-    return Match((), T, 0.0, False, True, NOTHING_SAID, by_place=True)
+    """Express a pose (4, 4) as a match of no poles, which need not be `exact`."""
+    return Match((), T, 0.0, False, True, NO_INFORMATION, by_place=True)
 
 
 def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) -> list[GroundPeak]:
@@ -358,7 +370,7 @@ def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) 
     levels = _level(target), _level(source)
     above = [se3.apply(L, each.points) for L, each in zip(levels, (target, source), strict=True)]
     quarters = [_about_z(k * np.pi / 2) for k in range(4)]
-    # A quarter turn lays cells on cells: rather than the source, the target is turned back by it.
+    # A quarter turn maps cells onto cells: the target is turned back instead of turning the source.
     half = [
         spread(fft.rfft2(_cells(above[0] @ quarter[:3, :3])), (CELLS, CELLS))
         for quarter in quarters[:2]
@@ -366,9 +378,9 @@ def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) 
     over = [*half, *np.conj(half)]
     # Shifts of more than half of the cells are those in the opposite direction.
     shifts = CELL * ((np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2)
-    reach = SIGMAS * prior.distance_sigma + POSES_APART[1]
+    reach = SIGMAS * prior.distance_sigma + DISTINCT_POSES[1]
     near = np.flatnonzero(np.hypot(shifts[:, None], shifts) <= reach)
-    turned = PosePrior(prior.rotation, prior.sigma + POSES_APART[0] / SIGMAS)
+    turned = PosePrior(prior.rotation, prior.sigma + DISTINCT_POSES[0] / SIGMAS)
     found = []
     for turn in 2 * np.pi * np.arange(TURNS // 4) / TURNS:
         R = _about_z(turn)
@@ -383,19 +395,21 @@ def _ground_peaks(target: SceneObjects, source: SceneObjects, prior: PosePrior) 
                 if turned.allows(T):
                     found.append(GroundPeak(T, float(heights[k])))
     found.sort(key=lambda peak: -peak.height)
-    return list(_apart(found))
+    return list(_separate_peaks(found))
 
 
 def _about_z(turn: float) -> Array:
     return se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, turn])), np.zeros(3))
 
 
-def _apart(peaks: Sequence[GroundPeak]) -> Iterator[GroundPeak]:
-    """Leave out what is lower and near another."""
+def _separate_peaks(peaks: Sequence[GroundPeak]) -> Iterator[GroundPeak]:
+    """Leave out peaks that are lower and near another."""
     kept: list[GroundPeak] = []
     for peak in peaks:
         gaps = [se3.difference(peak.T, other.T) for other in kept]
-        if any(gap.rotation < POSES_APART[0] and gap.translation < POSES_APART[1] for gap in gaps):
+        if any(
+            gap.rotation < DISTINCT_POSES[0] and gap.translation < DISTINCT_POSES[1] for gap in gaps
+        ):
             continue
         kept.append(peak)
         yield peak

@@ -1,6 +1,6 @@
-"""What each pair of LiDARs says by itself: poses under which the poles of both can be the same.
+"""The hypotheses of each pair of LiDARs: poses under which the poles of both can be the same.
 
-A pose of two LiDARs holds for all placements, so what each placement allows is put together: the
+A pose of two LiDARs is valid for all placements, so the matches of all placements are combined: the
 same pose from several placements is one hypothesis. The scene scores each once.
 """
 
@@ -24,8 +24,9 @@ from .placements import AGREE_ANGLE, AGREE_DISTANCE
 from .scans import SiteScans, Views
 
 SPARSE, SPARSE_ERROR = 8, 0.03
-"""First one in this many of the points is compared, and all of them where the first may be off by
-so much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by at most 0.025."""
+"""First one in this many of the points is compared, and all of them if the first result may be off
+by this much. Of 1,200 hypotheses of 8 LiDARs their scores were off by 0.006 (RMS), by at most
+0.025."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +38,9 @@ class Pair:
     lidars
         Indices, the lower first.
     hypotheses
-        Exact ones only; none where they share no two poles.
+        Exact ones only; none if they have no two poles in common.
     overlaps
-        Whether the scenes overlap under the best, so that they can be asked.
+        Whether the scenes overlap under the best, so that they can be used.
     refusal
         Why there is no hypothesis; None if there is one.
     by_place
@@ -55,7 +56,7 @@ class Pair:
 
     @property
     def standing(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses that the scene leaves standing."""
+        """Hypotheses that are not ruled out by the scene."""
         return tuple(each for each in self.hypotheses if each.stands)
 
     @cached_property
@@ -69,8 +70,9 @@ class Pair:
         return np.array([each.T[:3, :3].ravel() for each in self.possible]).reshape(-1, 9)
 
     def at(self, T: Array, points: Array) -> Hypothesis | None:
-        """Find the possible hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
-        # Asked a hundred thousand times, mostly in vain: all angles at once.
+        """Find the possible hypothesis that equals a pose (4, 4), with points (N, 3) of the
+        second."""
+        # Called a hundred thousand times, mostly without a result: all angles at once.
         turned = self._rotations @ T[:3, :3].ravel() >= 1.0 + 2.0 * np.cos(AGREE_ANGLE)
         near = [
             each
@@ -81,7 +83,7 @@ class Pair:
 
 
 def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> bool:
-    """Whether two poses are one up to the uncertainty that the poles of one placement leave.
+    """Whether two poses are the same up to the uncertainty from the poles of one placement.
 
     Parameters
     ----------
@@ -90,9 +92,9 @@ def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> b
     points
         (N, 3) where the poles are.
     slack
-        Factor on the difference that the poles' uncertainty allows.
+        Factor on the difference that the uncertainty of the poles allows.
     """
-    # Called a hundred thousand times: the angle by the trace, and places only if it is small.
+    # Called a hundred thousand times: the angle by the trace, and positions only if it is small.
     cosine = (float(np.vdot(T[:3, :3], other[:3, :3])) - 1.0) / 2.0
     if cosine < np.cos(slack * AGREE_ANGLE):
         return False
@@ -115,7 +117,7 @@ def poles_of(scans: SiteScans, lidar: int) -> Array:
 
 
 def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
-    """Match the poles of every placement, put equal poses together, and ask the scene."""
+    """Match the poles of every placement, combine equal poses, and score them by the scene."""
     found: list[tuple[Match, dict[int, int]]] = []
     reason: Reason | None = None
     at = poles_of(scans, second)
@@ -137,8 +139,8 @@ def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
 
 
 def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
-    """Say that two LiDARs have no two poles in common, and why, if a recording shows it."""
-    words = "no placement shows both LiDARs two poles in common"
+    """Report that two LiDARs have no two poles in common, and why, if a recording shows it."""
+    words = "in no placement do both LiDARs see the same two poles"
     for which, i in zip(("first", "second"), lidars, strict=True):
         whys = [why_few_poles(scan) for scan in scans.by_lidar[i] if scan and len(scan.poles) < 2]
         if any(whys):
@@ -149,7 +151,8 @@ def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
 def _add(
     found: list[tuple[Match, dict[int, int]]], match: Match, placement: int, at: Array
 ) -> None:
-    """Add a match to the pose that it is, or as another one; more poles fix a pose better."""
+    """Add a match to the pose that it equals, or as another one; more poles determine a pose
+    better."""
     T = match.T_target_source
     for k, (known, poles) in enumerate(found):
         if is_same_pose(T, known.T_target_source, at):
@@ -211,7 +214,7 @@ def _overlaps(best: Hypothesis) -> bool:
 
 
 def _is_not_ruled_out(each: Hypothesis, best: Hypothesis) -> bool:
-    """Whether the scene leaves a hypothesis standing, as `choice` has it for one pair.
+    """Whether the scene does not rule out a hypothesis, as in `choice` for one pair.
 
     Scenes that do not overlap distinguish no poses.
     """
@@ -219,7 +222,7 @@ def _is_not_ruled_out(each: Hypothesis, best: Hypothesis) -> bool:
 
 
 def _may_remain(each: Hypothesis, best: Hypothesis) -> bool:
-    """Whether the whole scene may leave standing, or possible, what a part of it speaks of."""
+    """Whether the whole scene may not rule out a hypothesis, judged by a part of the points."""
     at_best = replace(
         each,
         overlap=each.overlap + SPARSE_ERROR,

@@ -1,10 +1,10 @@
-"""Several placements of the poles before the same two LiDARs: one pose for all of them.
+"""Several placements of the poles in view of the same two LiDARs: one pose for all of them.
 
-Each placement has its own hypotheses; only the right pose recurs in all. What the scene shows of a
-pose is averaged over the placements.
+Each placement has separate hypotheses; only the right pose recurs in all. The scores by the scene
+are averaged over the placements.
 
-A refusal says how much was tried of what the poles allow. With bright things that may be poles
-hundreds of ways of matching them are possible. A fixed number of each kind is tried, the best
+A refusal states how many of the possible matches were tried. With bright objects that may be poles
+hundreds of ways of matching are possible. A fixed number of each kind is tried, the best
 first: counts, not seconds, so that the same recordings give the same answer on any machine.
 """
 
@@ -26,19 +26,19 @@ from ..extraction.sensor_pattern import error_sizes
 
 
 class Share(NamedTuple):
-    """How many were tried, the best first, of how many that there are."""
+    """Number that was tried, the best first, and the number that is possible."""
 
     tried: int
     found: int
 
 
 class Tried(NamedTuple):
-    """How much was tried of what the poles of a placement allow.
+    """How many of the possible matches of a placement were tried.
 
     Attributes
     ----------
     pairs
-        Of pairs of poles that have the shape of a pair of the other LiDAR: matched.
+        Of the pairs of poles with the shape of a pair of the other LiDAR: matched.
     ways
         Of the ways of matching the poles: scored by the scene.
     fitting
@@ -55,15 +55,15 @@ NOTHING = Tried()
 VERBS = {"pairs": "laid", "ways": "tried", "fitting": "registered"}
 
 
-def counts_candidates(placement: Placement) -> bool:
+def uses_candidates(placement: Placement) -> bool:
     """Whether candidate poles are among those of a placement."""
     return any(
         pole is own for scan in placement.scans for pole in scan.poles for own in scan.candidates
     )
 
 
-def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
-    """Add to the values of a refusal what was left out to bound the time, where something was.
+def with_attempts(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
+    """Add to the values of a refusal what was left out to bound the time, if anything.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class PairedPlacement:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A pose that recurs: the joint hypothesis, and every placement paired by its own."""
+    """A pose that recurs: the joint hypothesis, and every placement paired by its hypothesis."""
 
     joint: Hypothesis
     paired: tuple[PairedPlacement, ...]
@@ -146,11 +146,11 @@ class Chosen:
     Attributes
     ----------
     hypotheses
-        The one that was taken, then all others, the best first.
+        The selected one, then all others, the best first.
     paired, refusal
-        Every placement, its poles paired by the one that was taken; or why none was.
+        Every placement, its poles paired by the selected one; or why there is none.
     choices, place
-        All that could be taken, the best first, and the place of the one that was.
+        All that could be selected, the best first, and the position of the selected one.
     scored
         Every placement with its hypotheses, as the scene scored them; empty if none match.
     """
@@ -169,7 +169,7 @@ def find_recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
     Raises
     ------
     Refusal
-        ``placements_disagree`` where no pose recurs.
+        ``placements_disagree`` if no pose recurs.
     """
     choices = []
     first, *others = scored
@@ -191,7 +191,7 @@ def find_recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
     if not choices:
         raise Refusal(
             "placements_disagree",
-            f"no pose fits all {len(scored)} placements; the nearest two are {nearest:.2f} m "
+            f"no pose fits all {len(scored)} placements; the nearest two poses are {nearest:.2f} m "
             "apart: did a LiDAR move between them, or are the files of a placement swapped?",
             {"placements": len(scored), "nearest_m": nearest},
         )
@@ -223,7 +223,7 @@ def _nearest(
 
 
 def _joint(each: Sequence[Hypothesis]) -> Hypothesis:
-    """Average what the scenes of all placements say; pose and pairs are the first one's."""
+    """Average the scores by the scenes of all placements; pose and pairs are those of the first."""
     overlap = float(np.mean([h.overlap for h in each]))
     violation = float(np.mean([h.free_space_violation for h in each]))
     covisible = [h.covisible_overlap for h in each if h.covisible_overlap is not None]
@@ -239,10 +239,10 @@ def _joint(each: Sequence[Hypothesis]) -> Hypothesis:
 def align(
     paired: Sequence[PairedPlacement], T_start: Array, *, radius: float, radius_sigma: float
 ) -> BeamAlignment:
-    """Align the paired poles of all placements by where the beams can have met them.
+    """Align the paired poles of all placements by the beams that can have hit them.
 
-    Where those of every placement leave a part of the pose to the surroundings, `T_start` is held
-    there.
+    If those of every placement leave a part of the pose to the surroundings, that part is
+    constrained to `T_start`.
     """
     if has_no_poles(paired):
         return without_poles(T_start, radius)
@@ -263,19 +263,19 @@ def align(
 
 
 def remaining_sway_in(placements: Sequence[Placement]) -> tuple[Array, ...]:
-    """What is left of the sway of target and source, (6, 6) each; empty if neither swayed."""
+    """The remaining sway of target and source, (6, 6) each; empty if neither swayed."""
     both = zip(*(each.scans for each in placements), strict=True)
     return remaining_sway_of_each([[scan.sway for scan in own] for own in both])
 
 
 def is_by_place(paired: Sequence[PairedPlacement]) -> bool:
-    """Whether the surroundings give a part of the pose that the poles of every placement do not
-    determine."""
+    """Whether a part of the pose is from the surroundings, since the poles of no placement
+    determine it."""
     return all(each.hypothesis.match.by_place for each in paired)
 
 
 def has_no_poles(paired: Sequence[PairedPlacement]) -> bool:
-    """Whether the surroundings give all of the pose."""
+    """Whether the whole pose is from the surroundings."""
     return not any(each.hypothesis.match.pairs for each in paired)
 
 
@@ -286,7 +286,7 @@ def leave_one_out(
     radius: float,
     radius_sigma: float,
 ) -> tuple[Placement, ...]:
-    """Say of each of several placements how the poles' pose differs without it."""
+    """For each of several placements: the change of the pose from the poles without it."""
     if len(paired) < 2:
         return tuple(each.placement for each in paired)
     T = aligned.pose.T_target_source
@@ -304,7 +304,7 @@ def leave_one_out(
 
 
 def merge_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Put the clouds of one LiDAR together, for what is static in all of them.
+    """Merge the clouds of one LiDAR, to find the objects that are static in all of them.
 
     Its sweeps are those of all; a cloud without any is one.
     """

@@ -1,4 +1,4 @@
-"""What the user knows of the pose beforehand: used to choose a hypothesis, never needed."""
+"""Prior knowledge of the pose from the user: used to choose a hypothesis, never required."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ..base.uncertainty import SIGMAS
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """What is known of the pose of the source in the target's frame.
+    """Prior knowledge of the pose of the source in the target's frame.
 
     Attributes
     ----------
     rotation
         (3, 3) the expected rotation; None if only the tilt is expected, to be zero: both LiDARs
-        stand upright.
+        are upright.
     sigma
-        1 σ of the angle, rad; infinite where no rotation is expected.
+        1 σ of the angle, rad; infinite if no rotation is expected.
     distance_sigma
-        1 σ of how far the source lies from the target's origin, metres: that of a map is the rough
-        place of the LiDAR.
+        1 σ of the distance of the source from the target's origin, metres: that of a map is the
+        rough position of the LiDAR.
     """
 
     rotation: Array | None = None
@@ -34,7 +34,7 @@ class PosePrior:
     distance_sigma: float = np.inf
 
     def misfits(self, T: Array) -> tuple[float, float]:
-        """How far rotation and position of a pose (4, 4) lie from the prior, in 1 σ."""
+        """Distances of rotation and position of a pose (4, 4) from the prior, in 1 σ."""
         if self.rotation is None:
             angle = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
         else:
@@ -42,7 +42,7 @@ class PosePrior:
         return angle / self.sigma, float(np.linalg.norm(T[:3, 3])) / self.distance_sigma
 
     def misfit(self, T: Array) -> float:
-        """How far a pose (4, 4) lies from the prior, in 1 σ."""
+        """Distance of a pose (4, 4) from the prior, in 1 σ."""
         return max(self.misfits(T))
 
     def allows(self, T: Array) -> bool:
@@ -56,9 +56,10 @@ def pose_prior(
     sigma_deg: float,
     distance_sigma: float | None = None,
 ) -> PosePrior | None:
-    """Take the prior as a user gives it: upright, or roll, pitch and yaw in degrees, or neither.
+    """Make the prior from the options of a user: upright, or roll, pitch and yaw in degrees, or
+    neither.
 
-    And how far the source lies from the target's origin, 1 σ in metres, where that is known.
+    And the distance of the source from the target's origin, 1 σ in metres, if that is known.
 
     Raises
     ------
@@ -77,12 +78,12 @@ def pose_prior(
 def agreeing_with_prior(matches: Sequence[Match], prior: PosePrior | None) -> list[Match]:
     """Keep the matches that agree with the prior.
 
-    Only those whose poles fit exactly can be the answer, and only they count as agreeing.
+    Only those whose poles fit exactly can be the answer, and only they are treated as agreeing.
 
     Raises
     ------
     Refusal
-        ``prior_contradicted`` where some fit exactly and none of these agrees.
+        ``prior_contradicted`` if some fit exactly and none of these agrees.
     """
     if prior is None:
         return list(matches)

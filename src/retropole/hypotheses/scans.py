@@ -1,4 +1,4 @@
-"""What each LiDAR of a site recorded, searched for poles, about where its beams start."""
+"""The recordings of each LiDAR of a site, searched for poles, relative to its beam origin."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Recording = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class SiteScans:
-    """Scans of all LiDARs in all placements, each about its LiDAR's beam origin.
+    """Scans of all LiDARs in all placements, each relative to its LiDAR's beam origin.
 
     Attributes
     ----------
@@ -35,8 +35,8 @@ class SiteScans:
     faults
         Why a recording cannot be used.
     recorded
-        The clouds of all recordings, of those too that cannot be used: they show what place they
-        are of.
+        The clouds of all recordings, including those that cannot be used: they show which place
+        they are of.
     """
 
     by_lidar: tuple[tuple[Scan | None, ...], ...]
@@ -62,13 +62,13 @@ class SiteScans:
         return [scan for scan in self.by_lidar[lidar] if scan is not None]
 
     def scene(self, lidar: int) -> PointCloud | None:
-        """What a LiDAR recorded in all placements; None without any."""
+        """The scans of a LiDAR in all placements; None without any."""
         used = self.used(lidar)
         return merge_clouds([averaged(scan.cloud) for scan in used]) if used else None
 
     @property
     def exchanged(self) -> SiteScans:
-        """The same of two LiDARs in the other order."""
+        """The same for two LiDARs in the other order."""
         return SiteScans(
             self.by_lidar[::-1],
             self.origins[::-1],
@@ -86,9 +86,10 @@ class SiteScans:
 
 
 def find_scans(site: Site) -> SiteScans:
-    """Search every recording of a site for poles; where one was carried, leave out what moved.
+    """Search every recording of a site for poles; if one was carried, leave out moving objects.
 
-    A recording that cannot be used is left out and reported in `SiteScans.faults`: others may do.
+    A recording that cannot be used is left out and reported in `SiteScans.faults`: others may be
+    sufficient.
     """
     rows, faults, recorded = [], [], []
     origins = np.zeros((len(site.lidars), 3))
@@ -135,7 +136,7 @@ def _checked(name: str, scan: Scan | None) -> Scan | None:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What each LiDAR saw, downsampled, to compare one with another; None if it saw nothing.
+    """The view of each LiDAR, downsampled, to compare one with another; None if it saw nothing.
 
     `every` has one view for each placement, `first` that of the first which was recorded.
     """
@@ -158,12 +159,13 @@ def views_of(scans: SiteScans) -> Views:
 
 
 def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array, Array]:
-    """Express poses about the LiDARs' beam origins, and their covariance, in the clouds' frames.
+    """Convert poses relative to the LiDARs' beam origins, and their covariance, to the clouds'
+    frames.
 
     Parameters
     ----------
     T, covariance
-        (L, 4, 4) site from LiDAR, counted from the beam origin, and (6 L, 6 L) of all poses.
+        (L, 4, 4) site from LiDAR, relative to the beam origin, and (6 L, 6 L) of all poses.
     origins
         (L, 3) beam origins in the LiDARs' frames.
 
@@ -183,6 +185,6 @@ def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array,
 
 
 def patches_of(scans: SiteScans) -> list[Patches | None]:
-    """Fit surface patches to what each LiDAR recorded; None if it recorded nothing."""
+    """Fit surface patches to the recordings of each LiDAR; None if it recorded nothing."""
     scenes = (scans.scene(lidar) for lidar in range(len(scans.by_lidar)))
     return [None if scene is None else surface_patches(scene) for scene in scenes]

@@ -1,7 +1,7 @@
 """Search for the pose that the poles allow and the scene confirms: match, score, choose.
 
-By the confirmed poles first; where they give nothing, by the candidates too; and where the LiDARs
-share too few for a pose, by one and the place about it.
+First with the confirmed poles; if they give no answer, with the candidates too; and if the LiDARs
+have too few in common for a pose, with one and the surroundings.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from .placements import (
     PlacementMatches,
     Share,
     Tried,
-    counts_candidates,
-    with_what_was_tried,
+    uses_candidates,
+    with_attempts,
 )
 from .prior import PosePrior, agreeing_with_prior
 
@@ -39,11 +39,11 @@ RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
     "prior_contradicted",
 }
-"""Refusals after which candidate poles are tried: other poles may give what these did not."""
+"""Refusals after which candidate poles are tried: other poles may give an answer."""
 
 FROM_SURROUNDINGS = {"too_few_poles", "parallel_poles", "no_match", "pole_count", "no_overlap"}
-"""Refusals after which poles that do not determine the whole pose are matched, and the
-surroundings give the rest."""
+"""Refusals after which poles that do not determine the whole pose are matched, and the rest
+is determined from the surroundings."""
 
 ENOUGH_CONFIRMED = 2
 """With this many confirmed poles in a cloud its threshold is right, and lower ones are not
@@ -59,10 +59,10 @@ def choose_with_candidates(
     prior: PosePrior | None = None,
     by_place: bool = True,
 ) -> Chosen:
-    """Choose by the confirmed poles; where they give nothing, by the candidates too.
+    """Choose with the confirmed poles; if they give no answer, with the candidates too.
 
-    Where these are not confirmed either, the hypotheses are first refined by the scene. At last one
-    pole will do where the surroundings give the rest.
+    If these are not confirmed either, the hypotheses are first refined by the scene. Finally one
+    pole is sufficient if the surroundings determine the rest.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def choose_with_candidates(
     Returns
     -------
     Chosen
-        With the first refusal where the candidate poles are not confirmed, and with what was not
-        tried.
+        With the first refusal if the candidate poles are not confirmed, and with the counts of
+        what was not tried.
     """
     if count == 0:
         return _choose_without_poles(placements, radius, step, prior)
@@ -111,18 +111,18 @@ def choose_with_candidates(
     if by_place and first.refusal.code in FROM_SURROUNDINGS:
         looks = (placements,) if last is placements else (placements, last)
         chosen = _first_by_place(looks, radius, step, count, prior)
-        # What it lacks is no advice to those whose two poles are well set up.
+        # Its refusal is no advice to users whose two poles are well set up.
         if chosen is not None and (
             chosen.refusal is None or first.refusal.code in ("too_few_poles", "parallel_poles")
         ):
             return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
-    refusal = with_what_was_tried(explained(first.refusal, placements), tried)
+    refusal = with_attempts(explained(first.refusal, placements), tried)
     return replace(first, refusal=refusal)
 
 
 def explained(refusal: Refusal, placements: Sequence[Placement]) -> Refusal:
-    """Say why a LiDAR sees too few poles, if its recordings show it: no threshold helps then."""
+    """State why a LiDAR sees too few poles, if its recordings show it: then no threshold helps."""
     name = refusal.values.get("lidar")
     if refusal.code != "too_few_poles" or name not in ("target", "source"):
         return refusal
@@ -142,8 +142,8 @@ def _choose_without_poles(
         return chosen
     refusal = Refusal(
         "no_overlap",
-        "without poles the place must give the pose, and there is none that lays ground on ground "
-        f"and what stands off it on each other; {SET_UP_TWO}",
+        "without poles the surroundings must determine the pose, and under no pose do both the "
+        f"ground and the objects above it coincide; {SET_UP_TWO}",
         {"poles": 0},
     )
     return Chosen((), (), refusal)
@@ -152,7 +152,7 @@ def _choose_without_poles(
 def choose_about_one_pole(
     placements: Sequence[Placement], radius: float, step: Step
 ) -> Chosen | None:
-    """Choose by one pole and the place about it alone: by confirmed poles, then by candidates.
+    """Choose with one pole and the surroundings only: with confirmed poles, then with candidates.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def choose_about_one_pole(
     Returns
     -------
     Chosen or None
-        None if nothing coincides so.
+        None if nothing coincides in this way.
     """
     return _first_by_place(
         chain([placements], _looks(placements, radius, step)), radius, step, None, None
@@ -180,9 +180,10 @@ def _first_by_place(
     count: int | None,
     prior: PosePrior | None,
 ) -> Chosen | None:
-    """Choose by the place with the first poles that coincide.
+    """Choose with the surroundings and the first poles that coincide.
 
-    A candidate pole whose surroundings do not give the pose refuses nothing: it may be no pole.
+    A candidate pole whose surroundings do not determine the pose causes no refusal: it may be no
+    pole.
     """
     before: list[Pole] = []
     for found in looks:
@@ -201,7 +202,7 @@ def _first_by_place(
 def _looks(
     placements: Sequence[Placement], radius: float, step: Step
 ) -> Iterator[Sequence[Placement]]:
-    """Look for candidate poles, and then for dimmer ones, where that finds more."""
+    """Search for candidate poles, and then for dimmer ones, if that finds more."""
     returns = -1
     for is_dimmer in (False, True):
         with step("doubtful"):
@@ -224,15 +225,15 @@ def _attempts(
     count: int | None,
     prior: PosePrior | None,
 ) -> Iterator[Chosen]:
-    """Choose by the candidate poles too, in one way after the other."""
-    # Without any candidate pole the confirmed ones may still settle.
+    """Choose with the candidate poles too, in several ways, one after the other."""
+    # Without any candidate pole the confirmed ones may still converge.
     wider = first
     if _candidate_returns(placements):
         wider = choose(_with_all(placements), step, count=count, prior=prior)
     yield wider
     settled = choose_after_icp(wider, step)
     yield settled
-    # A third line that fits by chance turns the pose of two poles, and keeps it from settling.
+    # A third line that fits by chance turns the pose of two poles, and prevents convergence.
     for fewer in _without_one(placements, settled.paired):
         chosen = choose(_with_all(fewer), step, count=count, prior=prior)
         yield choose_after_icp(chosen, step)
@@ -245,7 +246,7 @@ def choose(
     count: int | None = None,
     prior: PosePrior | None = None,
 ) -> Chosen:
-    """Match the poles of every placement and let the scene choose; a refusal is kept."""
+    """Match the poles of every placement and choose by the scene; a refusal is kept."""
     try:
         with step("match"):
             matched = [match_poles(placement, count, prior) for placement in placements]
@@ -256,7 +257,7 @@ def choose(
 
 
 def choose_after_icp(chosen: Chosen, step: Step) -> Chosen:
-    """Let the scene move the hypotheses of a choice, if it has any, and choose once more."""
+    """Refine the hypotheses of a choice by the scene, if it has any, and choose once more."""
     if not chosen.scored:
         return chosen
     try:
@@ -270,9 +271,9 @@ def choose_after_icp(chosen: Chosen, step: Step) -> Chosen:
 def match_poles(
     placement: Placement, count: int | None, prior: PosePrior | None
 ) -> PlacementMatches:
-    """Find the ways of laying the source poles on the target poles that the prior allows."""
+    """Find the matches of the source poles with the target poles that the prior allows."""
     found, laid = correspondence.every_match(
-        placement.target.poles, placement.source.poles, count, part=counts_candidates(placement)
+        placement.target.poles, placement.source.poles, count, part=uses_candidates(placement)
     )
     allowed = agreeing_with_prior(found, prior)
     best = allowed[: correspondence.MAX_HYPOTHESES]
@@ -288,7 +289,7 @@ def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
 
 
 def refine_by_icp(scored: PlacementHypotheses) -> PlacementMatches:
-    """Let the scene move the hypotheses of a placement as far as their poles allow."""
+    """Refine the hypotheses of a placement by the scene, as far as their poles allow."""
     target, source = scored.placement.target, scored.placement.source
     matches = icp_refinement.refine_by_icp(
         target.cloud, source.cloud, scored.hypotheses, target.poles, source.poles
@@ -301,7 +302,8 @@ def refine_by_icp(scored: PlacementHypotheses) -> PlacementMatches:
 def _without_one(
     placements: Sequence[Placement], paired: Sequence[PairedPlacement]
 ) -> Iterator[Sequence[Placement]]:
-    """A placement without one pair's candidate poles; of several none, where no chance recurs."""
+    """A placement without the candidate poles of one pair; unchanged with several placements, since
+    chance does not recur."""
     if len(paired) != 1 or len(paired[0].hypothesis.match.pairs) < REDUNDANT_POLES:
         return
     for pair in zip(paired[0].target_poles, paired[0].source_poles, strict=True):
@@ -312,7 +314,7 @@ def _without_one(
 
 
 def _without(scan: Scan, pole: Pole) -> Scan:
-    """A scan without one of its candidate poles; itself where it is none of them."""
+    """A scan without one of its candidate poles; unchanged if the pole is none of them."""
     left = tuple(own for own in scan.candidates if own is not pole)
     if scan.detection is None or len(left) == len(scan.candidates):
         return scan
@@ -328,14 +330,14 @@ def _searched(scan: Scan, radius: float, is_dimmer: bool) -> Scan:
 
 
 def _candidate_returns(placements: Sequence[Placement]) -> int:
-    """How many returns the candidate poles of all clouds have: a lower threshold shows more."""
+    """Number of returns on the candidate poles of all clouds: a lower threshold shows more."""
     return sum(
         len(pole.index) for each in placements for scan in each.scans for pole in scan.candidates
     )
 
 
 def count_candidates(scan: Scan) -> Scan:
-    """Count the candidate poles of a scan among its poles, after the confirmed ones."""
+    """Add the candidate poles of a scan to its poles, after the confirmed ones."""
     if scan.detection is None:
         return scan
     return replace(scan, detection=replace(scan.detection, poles=(*scan.poles, *scan.candidates)))

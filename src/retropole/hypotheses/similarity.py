@@ -1,4 +1,4 @@
-"""Whether two clouds fit once one is mirrored or scaled, which no rigid motion can put right.
+"""Whether two clouds fit if one is mirrored or scaled, which no rigid motion can correct.
 
 A change of the source is one number that multiplies its coordinates. Its size is the scale. A
 negative one mirrors: any mirror differs from that through the origin by a rotation. Two skew lines
@@ -46,27 +46,27 @@ SAME_FACTOR = 0.05
 refines it."""
 
 CLEARLY_BETTER = 1.15
-"""So many times more fits under a change than under a rigid motion: the ratio of the points that
-lie on the other cloud's surfaces, times that of the voxels that agree, less those that conflict.
-Neither ratio is less than 1 by more than the factor `BETTER`: 2 % of scale are
-within the tolerance of the depth. Of three mirrored clouds that were answered off bare ground
+"""Factor by which more must fit under a change than under a rigid motion: the ratio of the
+points that lie on the other cloud's surfaces, times that of the agreeing minus the conflicting
+voxels. Neither ratio is less than 1 by more than the factor `BETTER`: 2 % of scale are
+within the tolerance of the depth. For three mirrored clouds with an answer, not on bare ground,
 (benchmarks/deception.py, seeds below 120) the product was 1.18 in a street of plain fronts, and 1.7
 and more in the others."""
 
 MAX_CONFLICTING_CHANGED = 0.1
-"""What fits is confirmed where no larger share of the voxels conflicts with it, of `MIN_TOTAL` or
+"""A change is confirmed if no larger share of the voxels conflicts with it, of `MIN_TOTAL` or
 more."""
 
 LEAST_CHANGE = 0.01
-"""A factor is named where it differs from 1 by more, and is that of a unit where it differs by no
-more: LiDARs' ranges err by far less."""
+"""A factor is reported if it differs from 1 by more, and is that of a unit if it differs from it
+by no more: the range errors of LiDARs are far smaller."""
 
 DISTANCES = 1.5, 1.0, 0.6, 0.35, 0.35, 0.25, 0.25, 0.15, 0.15, 0.15
 """Largest distance of corresponding points, step by step of a fit, metres; residuals of a quarter
 of it have a quarter weight."""
 
 MAX_CHANGE = 0.15
-"""The factor changes by no larger part in one fit: where less and less corresponds, clouds would
+"""Largest relative change of the factor in one fit: with ever fewer correspondences, clouds would
 shrink to a point."""
 
 ON_SURFACE = 0.05
@@ -75,7 +75,8 @@ ON_SURFACE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What fits: the factor of the source, the pose (4, 4) then, and what the scene shows.
+    """A change that fits: the factor of the source, the pose (4, 4), and the evidence from the
+    scene.
 
     `support` is the number of points of objects in the source that lie on the target's surfaces.
     """
@@ -87,7 +88,7 @@ class Found:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether as much agrees, and as little conflicts, as in an answer that is confirmed."""
+        """Whether enough agrees, and little enough conflicts, for a confirmed answer."""
         return (
             self.agreed.total >= MIN_TOTAL and self.agreed.contradicted <= MAX_CONFLICTING_CHANGED
         )
@@ -102,7 +103,7 @@ class Found:
 
     @property
     def voxels(self) -> int:
-        """How many voxels agree, less those that conflict."""
+        """Number of agreeing voxels minus that of conflicting ones."""
         return self.agreed.agreeing - self.agreed.contradicting
 
 
@@ -115,7 +116,7 @@ class Surfaces(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """A placement, prepared: what the target sees, and the source as it is."""
+    """A placement, prepared: the target's view, and the source unchanged."""
 
     view: View
     standing: SceneObjects
@@ -124,7 +125,7 @@ class _Scene:
 
 
 def changed_cloud(cloud: PointCloud, factor: float) -> PointCloud:
-    """Multiply a cloud, and where its beams start."""
+    """Multiply a cloud, and the origin of its beams."""
     sign = np.sign(factor)
     return replace(
         cloud, xyz=cloud.xyz * factor, origin=cloud.origin * factor, axis=cloud.axis * sign
@@ -149,7 +150,8 @@ def factors_of(target: Sequence[Pole], source: Sequence[Pole]) -> list[float]:
     pairs, others = all_pairs(target), all_pairs(source)
     sigma = np.hypot(pairs.sigma[:, None], others.sigma[None])
     alike = np.abs(pairs.angle[:, None] - others.angle[None]) <= ANGLE_TOLERANCE + 3 * sigma
-    # Nearer lines determine no scale. Of a cloud that is scaled down the error is scaled, too.
+    # Nearer lines do not determine a scale. In a cloud that is scaled down the error is scaled,
+    # too.
     alike &= np.maximum(pairs.distance[:, None], others.distance[None]) > DISTANCE_TOLERANCE
     alike &= np.minimum(pairs.distance[:, None], others.distance[None]) > 0
     rows, columns = np.nonzero(alike)
@@ -163,19 +165,20 @@ def factors_of(target: Sequence[Pole], source: Sequence[Pole]) -> list[float]:
 
 
 def find_change(placement: Placement, rigid: Sequence[Array]) -> tuple[Found, Found | None] | None:
-    """Find a change of the source under which a placement fits as under no rigid motion.
+    """Find a change of the source under which a placement fits better than under any rigid motion.
 
     Parameters
     ----------
     placement
         With two poles or more in either cloud.
     rigid
-        (4, 4) rigid motions that the poles allow; none takes all ways of laying two on two.
+        (4, 4) rigid motions that the poles allow; with none, all ways of matching two poles are
+        used.
 
     Returns
     -------
     tuple of Found and (Found or None), or None
-        What fits, and the best of the rigid motions.
+        The change that fits, and the best of the rigid motions.
     """
     target, source = placement.target.poles, placement.source.poles
     starts = list(rigid)
@@ -184,20 +187,20 @@ def find_change(placement: Placement, rigid: Sequence[Array]) -> tuple[Found, Fo
             starts = [T for T, _ in pair_starts((target[0], target[1]), (source[0], source[1]))]
     changes = -1.0, *factors_of(target, source)
     tried = [(change, _matches(placement, change)) for change in changes]
-    # Poles that nearly meet determine no factor; the scene may.
+    # Poles that nearly intersect do not determine a factor; the scene may.
     return _better(placement, starts, [*tried, (1.0, starts)])
 
 
 def find_mirror(placement: Placement, T: Array) -> tuple[Found, Found | None] | None:
     """Find whether a placement fits clearly better mirrored than under the pose (4, 4) it has.
 
-    It costs hardly anything where the poles do not fit mirrored, as most do not.
+    It takes hardly any time if the poles do not fit mirrored, as most do not.
     """
     return _better(placement, [T], [(-1.0, _matches(placement, -1.0))])
 
 
 def find_fit(placement: Placement) -> Found | None:
-    """Find whether a placement fits as it is, but for a factor near 1."""
+    """Find whether a placement fits unchanged except for a factor near 1."""
     starts = _matches(placement, 1.0)
     scene = _scene_of(placement) if starts else None
     found = [] if scene is None else _fitted(scene, 1.0, starts)
@@ -272,11 +275,11 @@ def _fitted(
 
 
 def _counterparts(scene: _Scene, found: Found) -> list[Array]:
-    """Give the rigid motions (4, 4) that come nearest to what was found.
+    """Give the rigid motions (4, 4) that are nearest to the change that was found.
 
-    Of a scaled cloud it is the same rotation, about the middle of the cloud. A mirrored one is
-    mirrored once more, in an upright plane through the middle of what stands: a street or a
-    corridor is then nearly what it was.
+    For a scaled cloud it is the same rotation, about the middle of the cloud. A mirrored one
+    is mirrored once more, in a vertical plane through the middle of the objects: a street
+    or a corridor is then nearly unchanged.
     """
     whole = found.T @ np.diag([*[found.factor] * 3, 1.0])
     if found.factor > 0:
@@ -308,7 +311,7 @@ def surfaces_of(tree: cKDTree) -> Surfaces | None:
 def fit_similarity(
     target: Surfaces, source: Array, T_start: Array, *, free_factor: bool
 ) -> tuple[Array, float] | None:
-    """Lay points (N, 3) on surfaces, from a pose (4, 4) on.
+    """Register points (N, 3) to surfaces, from a pose (4, 4) on.
 
     Returns
     -------
@@ -327,7 +330,7 @@ def fit_similarity(
         J = J if free_factor else J[:, :6]
         weights = 1.0 / (1.0 + (residuals / (limit / 4)) ** 2) ** 2
         information = (J * weights[:, None]).T @ J
-        # A little, where surfaces leave a direction free.
+        # A small regularisation, in case surfaces do not constrain a direction.
         information += ROUNDING * np.trace(information) / len(information) * np.eye(J.shape[1])
         step = -np.linalg.solve(information, J.T @ (weights * residuals))
         by = 1.0 + float(step[6]) if free_factor else 1.0
@@ -342,13 +345,14 @@ def fit_similarity(
 
 
 def support(target: Surfaces, moved: Array) -> float:
-    """How many of some points (N, 3) lie on the target's surfaces, those near them in part."""
+    """Number of some points (N, 3) on the target's surfaces; those near them are counted in
+    part."""
     _, _, off = _off(target, moved, DISTANCES[0])
     return float(np.sum(1.0 / (1.0 + (off / ON_SURFACE) ** 2)))
 
 
 def _off(target: Surfaces, moved: Array, limit: float) -> tuple[Array, Array, Array]:
-    """Which points are near, the normals there, and how far these are off the surface."""
+    """Which points are near, the normals there, and the distances from the surface."""
     distance, index = target.tree.query(moved, distance_upper_bound=limit)
     near = np.isfinite(distance)
     normals, points = target.normals[index[near]], np.asarray(target.tree.data)[index[near]]

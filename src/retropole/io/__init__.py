@@ -90,7 +90,7 @@ def open_recording(
         from .packets import open_packets
 
         return open_packets(path, topic, wanted)
-    wanted.refuse_angles(f"{path}: has no packets, angles are of no use")
+    wanted.refuse_angles(f"{path}: has no packets, angles do not apply")
     if path.suffix.lower() in LVX and path.is_file():
         from .lvx import open_lvx
 

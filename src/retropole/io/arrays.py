@@ -125,7 +125,7 @@ def _load(file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[
         raise ReadError(f"an array of {dtype} and shape {shape}, expected numbers")
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if size > left:
-        raise ReadError(f"promises {size} bytes of data, the file has {left} in all")
+        raise ReadError(f"promises {size} bytes of data, the file has only {left}")
     # A number in a point cloud takes 8 bytes.
     spend(max(size, 8 * size // dtype.itemsize))
     body = file.read(size)
@@ -255,7 +255,7 @@ def _check_colours(values: Array) -> None:
     """Refuse a file whose last columns are no colours, so that others may be no intensity."""
     if not (np.all(values == np.rint(values)) and np.all((values >= 0) & (values <= 255))):
         raise ReadError(
-            "its last three columns are no colours from 0 to 255, expected x y z intensity red "
+            "its last three columns are not colours from 0 to 255, expected x y z intensity red "
             "green blue; a first line may name the columns"
         )
 
@@ -472,7 +472,7 @@ def _alternate(rows: NDArray[Any]) -> bool:
 
 
 def _why(data: bytes, are_both: bool) -> str:
-    """Say why the values are no points, or two kinds of them, and how to convert them."""
+    """State why the values are not points, or two kinds of them, and how to convert them."""
     size = len(data)
     if size % (4 * FLOAT) and size % (5 * FLOAT):
         return (

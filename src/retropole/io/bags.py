@@ -102,7 +102,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
         def read_chunk(self) -> Any:
             chunk = super().read_chunk()
             if chunk.datasize > LARGEST_RECORD:
-                raise ReadError(f"a chunk of {chunk.datasize:,} bytes, which no recording has")
+                raise ReadError(f"a chunk of {chunk.datasize:,} bytes, too large for a recording")
             kind = kinds.get(chunk.decompressor, "")
             return chunk._replace(decompressor=lambda data: unpacked(kind, data, spend))
 
@@ -205,7 +205,7 @@ def _sqlite(path: Path) -> Iterator[Bag]:
 
 
 def _text(column: str) -> str:
-    """Take the text of a column, whatever is in it: SQLite lets any value be of any type."""
+    """Read a column as text, whatever it contains: SQLite lets any value be of any type."""
     return f"substr(CAST(coalesce({column}, '') AS TEXT), 1, 1000)"
 
 
@@ -221,8 +221,8 @@ def _check_tables(database: sqlite3.Connection) -> None:
         hidden = [row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")]
         if not re.match(r"CREATE\s+TABLE\s", str(found[0]), re.IGNORECASE) or any(hidden):
             raise ReadError(
-                f"{name} is not a table of plain columns but computed when it is read, which no "
-                "recorder writes"
+                f"{name} is not a table of plain columns but computed when it is read, which "
+                "recorders do not write"
             )
 
 
@@ -246,8 +246,8 @@ def _counted_steps(size: int, database: sqlite3.Connection) -> Iterator[None]:
         if left >= 0:  # by what was raised while it counted, which sqlite3 swallows
             raise KeyboardInterrupt from None
         raise ReadError(
-            f"to read it takes more steps than a database of {size:,} bytes can need: it is "
-            "damaged, or computes what it holds"
+            f"reading it takes more steps than a database of {size:,} bytes can need: it is "
+            "damaged, or its content is computed"
         ) from None
 
 

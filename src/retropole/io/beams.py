@@ -29,7 +29,7 @@ sensor's frame."""
 
 
 def rings_fault(cloud: PointCloud) -> str:
-    """Say why the rings of a cloud are no rings; nothing if they are, or if it has none.
+    """State why the rings of a cloud are invalid; nothing if they are valid, or if it has none.
 
     A cloud that another program has moved keeps its rings: their elevations are lost, but the
     points of one ring still follow each other.

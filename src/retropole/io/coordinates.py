@@ -53,7 +53,7 @@ class Oddity:
 
 
 def oddity_of(cloud: PointCloud) -> Oddity | None:
-    """Say why coordinates cannot be metres about the LiDAR; None if they can.
+    """State why coordinates cannot be metres about the LiDAR; None if they can.
 
     A hint, and no proof: a LiDAR of long range on open ground may look the same.
 
@@ -71,8 +71,8 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
     half, most, farthest = _ranges(cloud)
     if most <= NEAREST_PLACE:
         return Oddity(
-            f"95 % of the points are within {most:.2g} m of the origin, where no place for poles "
-            "is: the coordinates are not metres, or the unit that was given is not theirs",
+            f"95 % of the points are within {most:.2g} m of the origin, too near for "
+            "poles: the coordinates are not metres, or the given unit is wrong",
             half,
             is_tiny=True,
         )
@@ -81,9 +81,10 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
     if _is_heap(cloud):
         las = cloud.source.lower().endswith((".las", ".laz"))
         return Oddity(
-            f"all points lie in one heap {half:,.0f} m from the origin, as in the frame of a map; "
-            + ("a LAS file does not say" if las else "nothing in it says")
-            + " where the LiDAR was, so beams have no origin",
+            f"all points are close together {half:,.0f} m from the origin, as in the frame of a "
+            "map; "
+            + ("a LAS file does not store" if las else "the file does not store")
+            + " where the LiDAR was, so that the origin of the beams is unknown",
             half,
             is_map=True,
         )
@@ -94,9 +95,9 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
         and farthest * METRES[unit] <= FARTHEST_RETURN
     )
     if not units:
-        words = f"half of the points are beyond {half:,.0f} m, farther than poles are seen"
+        words = f"half of the points are beyond {half:,.0f} m, farther than poles can be seen"
         return Oddity(words, half)
-    words = f"half of the points are beyond {half:,.0f}, which no LiDAR sees in metres"
+    words = f"half of the points are beyond {half:,.0f}, too far for a LiDAR if these are metres"
     odd = Oddity(words, half, units)
     return replace(odd, words=f"{words}: they look like {odd.candidates}")
 

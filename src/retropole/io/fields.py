@@ -1,4 +1,4 @@
-"""From named columns to a cloud in metres: what names mean, units, which points are dropped."""
+"""From named columns to a cloud in metres: meaning of names, units, dropped points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COORDINATES = {
     axis: (axis, f"{axis}1", *(f"{name}{mark}{k}" for mark in ":_" for name in PARAVIEW))
     for k, axis in enumerate("xyz")
 }
-"""Names of x, y and z. Programs that are made of ParaView call them ``Points:0`` or
+"""Names of x, y and z. Programs based on ParaView name them ``Points:0`` or
 ``Points_m_XYZ:0``, Ouster's those of the first return ``X1 (m)``."""
 
 INTENSITY = ("intensity", "intensities", "i", "signal", "reflectivity", "reflectance", "remission")
@@ -31,22 +31,22 @@ RING = (
     *("ring_id", "ring_number", "beam_id", "channel_id", "row"),
 )
 TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpstime")
-"""Names of the fields in lower case; where a file has several, the first is taken."""
+"""Names of the fields in lower case; if a file has several, the first is used."""
 
 TICKS = {"t": "u4", "time_stamp": "u4", "offset_time": "u4"}
-"""Names and types of times that drivers count in nanoseconds: Ouster's, Nebula's and Livox'."""
+"""Names and types of times in nanoseconds in drivers: Ouster's, Nebula's and Livox'."""
 
 UNIX_NANOSECONDS = 1e18, 1e20
 """Floats of 64 bits in this range are Unix time in nanoseconds, as livox_ros_driver2 writes it."""
 
 SECOND_RETURN = "is_2nd_return"
-"""Seyond's name of what marks the second return of a firing."""
+"""Seyond's name of the mark of the second return of a firing."""
 
 PLAIN_COLUMNS = ("x", "y", "z", "intensity")
-"""What the columns of a table without names are; a fifth could be a colour or a normal."""
+"""The columns of a table without names; a fifth could be a colour or a normal."""
 
 IN_SECONDS = ("", "s", "sec", "seconds")
-"""Units in the name of a time that are taken for seconds; most names have none."""
+"""Units in the name of a time that mean seconds; most names have none."""
 
 NANOSECONDS = 1e9
 """In a second; the unit of bags and some drivers."""
@@ -55,11 +55,11 @@ MAX_PROMISED = 2**62
 """Larger numbers in a header do not fit NumPy's sizes."""
 
 LARGEST = 1e9
-"""Of a coordinate, metres, or an intensity: no place on Earth is farther, also if a file means
-millimetres, and no sensor counts so far. Squares and products of larger numbers overflow."""
+"""Of a coordinate, metres, or an intensity: no place on Earth is farther, even in millimetres,
+and no sensor has larger intensities. Squares and products of larger numbers overflow."""
 
 SMALLEST = 1e-9
-"""Nearer than this, metres, is zero range: where the beams start. Squares of less vanish."""
+"""Below this distance, metres, the range is zero: the beam origin. Squares of less vanish."""
 
 REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""
@@ -74,20 +74,20 @@ class MapPlace(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """User's statements on how points are made; most files need none.
+    """User's statements on how to read points; most files need none.
 
     Attributes
     ----------
     intensity
-        Field that the intensity is read from, in any spelling; None, or empty, takes the first of
+        Field of the intensity, in any spelling; None, or empty, uses the first of
         `INTENSITY`.
     angles
-        Of packets, the file of the angles of the unit; None takes those of the table.
+        For packets, the file with the angles of the unit; None uses those of the table.
     if_any
-        Those of both, by name, that are left out if a file has no use for them: they are known
-        from an older recording, and were not given for this one.
+        Those of both, by name, that are ignored if they do not apply to a file: they are from
+        an older recording, and were not given for this one.
     place
-        Of a map, the region that is read; None for a recording of one LiDAR.
+        For a map, the region that is read; None for a recording of one LiDAR.
     """
 
     intensity: str | None = None
@@ -96,12 +96,12 @@ class Wanted(NamedTuple):
     place: MapPlace | None = None
 
     def names(self, fields: Iterable[str]) -> tuple[str, ...]:
-        """Say what the intensity is called among the fields of a file.
+        """Find the name of the intensity among the fields of a file.
 
         Raises
         ------
         ReadError
-            If a field is wanted that is not there; lists those there are.
+            If the requested field does not exist; lists the existing ones.
         """
         if not self.intensity:
             return INTENSITY
@@ -114,13 +114,13 @@ class Wanted(NamedTuple):
         raise ReadError(f"intensity {self.intensity}: no such field; the fields are: {have}")
 
     def or_known(self, known: Wanted) -> Wanted:
-        """Take what is not said as it is known of an older recording, where it is of use."""
+        """Fill in values from an older recording, where they apply."""
         own = self._asdict()
         if_any = tuple(name for name in ("intensity", "angles") if own[name] is None)
         return Wanted(**own | {name: getattr(known, name) for name in if_any} | {"if_any": if_any})
 
     def refuse_angles(self, fault: str) -> None:
-        """Refuse angles that are given for what has no use for them; `fault` says why not."""
+        """Refuse angles for data to which they do not apply; `fault` is the reason."""
         if self.angles is not None and "angles" not in self.if_any:
             raise UsageError(fault)
 
@@ -130,7 +130,7 @@ USUAL = Wanted()
 
 
 def intensities_of(names: Iterable[str]) -> list[str]:
-    """Those of names that may be an intensity's, the one that is taken first."""
+    """Names that may be those of an intensity, the default one first."""
     own = [name for name in names if _bare(name) in INTENSITY]
     return sorted(own, key=lambda name: INTENSITY.index(_bare(name)))
 
@@ -139,7 +139,7 @@ T = TypeVar("T")
 
 
 def read_whole(path: Path, expected: str = "points") -> bytes:
-    """Read all bytes of a file; one without any is an error that says what was expected."""
+    """Read all bytes of a file; for an empty one, raise an error with the expected content."""
     data = path.read_bytes()
     if not data:
         raise ReadError(f"is empty, expected {expected}")
@@ -147,7 +147,7 @@ def read_whole(path: Path, expected: str = "points") -> bytes:
 
 
 def noted(cloud: PointCloud, *notes: str) -> PointCloud:
-    """Add what was lost or assumed to what a cloud has; empty notes are none."""
+    """Add notes on losses or assumptions to a cloud; empty notes are ignored."""
     return replace(cloud, notes=(*cloud.notes, *filter(None, notes)))
 
 
@@ -157,7 +157,7 @@ def left_out(promised: int, more: int) -> str:
 
 
 def _find(columns: Iterable[str], names: tuple[str, ...]) -> str | None:
-    """Find the first column with one of the names, in any case; the exact spelling goes first."""
+    """Find the first column with one of the names, in any case; the exact spelling has priority."""
     plain: dict[str, str] = {}
     for spelled in (str, str.lower, _bare):
         for name in columns:
@@ -186,7 +186,8 @@ def has_coordinates(names: Iterable[str]) -> bool:
 
 
 def has_meaning(name: str, *besides: str) -> bool:
-    """Whether a name, in any spelling, is an intensity's, a ring's, a time's or one besides."""
+    """Whether a name, in any spelling, is that of an intensity, a ring, a time or one of some
+    others."""
     return not {name, _bare(name)}.isdisjoint((*INTENSITY, *RING, *TIME, *besides))
 
 
@@ -203,9 +204,9 @@ def cloud_from_columns(
 ) -> PointCloud:
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
-    Of several values of a field (a dual return's intensities), the first is taken. An intensity
-    that is not finite is treated as 0, or as the lowest where there are lower ones: a return
-    without a measured strength cannot be tape. Where none is finite, the file has no intensity.
+    Of several values of a field (a dual return's intensities), the first is used. An intensity
+    that is not finite is treated as 0, or as the lowest if there are lower ones: a return
+    without a measured strength cannot be tape. If none is finite, the file has no intensity.
     Colours (rgb) are not an intensity.
 
     Parameters
@@ -215,14 +216,14 @@ def cloud_from_columns(
     wanted
         Of which the intensity is.
     origin
-        (3,) where the beams start; None is the origin of the frame.
+        (3,) beam origin; None is the origin of the frame.
     source
         The file, or its part.
 
     Raises
     ------
     ReadError
-        Without x, y or z or the field that is wanted, without points, or with none that is finite
+        Without x, y or z or the requested field, without points, or with none that is finite
         and away from the origin.
     """
     found = {name: _find(columns, names) for name, names in COORDINATES.items()}
@@ -279,7 +280,7 @@ def _left_out_second(count: int) -> str:
 
 
 def _unit_of_coordinates(names: list[str]) -> str:
-    """Say which unit other than metres the names of x, y and z have; nothing is converted."""
+    """Report the unit other than metres in the names of x, y and z; nothing is converted."""
     units = {_unit(name) or "m" for name in names}
     if len(units) > 1 or not units <= METRES.keys():
         called = f"the coordinates are called {', '.join(names)}"
@@ -326,7 +327,7 @@ def _is_return(xyz: Array, origin: Array) -> BoolArray:
 
 
 def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
-    """Give a cloud that was made in memory what readers promise of theirs.
+    """Give a cloud that was made in memory the properties that readers guarantee.
 
     Points that are not finite or at zero range are dropped and counted, and an intensity that is
     not finite is treated as 0.
@@ -334,9 +335,9 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     Parameters
     ----------
     cloud
-        Any cloud; returned as it is where nothing has to change.
+        Any cloud; returned unchanged if nothing has to change.
     name
-        What to call it in messages.
+        Its name in messages.
 
     Raises
     ------
@@ -366,12 +367,12 @@ def _none_of(points: int) -> str:
 
 
 def _kind(column: NDArray[Any]) -> str:
-    """Name the type of a column, and the number of values per point where it is not one."""
+    """Name the type of a column, and the number of values per point if it is not one."""
     return column.dtype.name + "".join(f"[{n}]" for n in column.shape[1:])
 
 
 def _numbers(name: str, column: NDArray[Any]) -> NDArray[Any]:
-    """Take one number per point, the first of several; refuse text and complex numbers."""
+    """Convert to one number per point, the first of several; refuse text and complex numbers."""
     if column.dtype.kind not in REAL_KINDS or column.ndim not in (1, 2) or column.shape[1:] == (0,):
         kind = f"{column.dtype} {list(column.shape[1:]) or ''}"
         raise ReadError(f"field {name} is {kind}, expected numbers")
@@ -379,7 +380,8 @@ def _numbers(name: str, column: NDArray[Any]) -> NDArray[Any]:
 
 
 def floats(values: NDArray[Any], out: Array | None = None) -> Array:
-    """Give values of a file as float64; what does not fit is not finite, without a warning."""
+    """Give values of a file as float64; values that do not fit become infinite or NaN, without a
+    warning."""
     # Casting a signalling NaN or a long double out of range warns; such points are dropped. The sum
     # makes a signalling NaN a quiet one, so that nothing that follows warns either.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -399,7 +401,7 @@ def _intensity(values: NDArray[Any]) -> Array | None:
 
 
 def _ring(values: NDArray[Any]) -> IntArray | None:
-    """Take ring numbers, which a table stores as floats; None if they are not whole numbers."""
+    """Convert ring numbers, which a table stores as floats; None if they are not whole numbers."""
     if values.dtype.kind in "iu" and values.dtype.itemsize <= np.dtype(np.int32).itemsize:
         return values.astype(np.int64)
     numbers = floats(values)
@@ -410,7 +412,7 @@ def _ring(values: NDArray[Any]) -> IntArray | None:
 
 
 def _time(values: NDArray[Any]) -> Array | None:
-    """Take floats that can be seconds; of ticks, no file says how long one is."""
+    """Convert floats that can be seconds; the length of ticks is given in no file."""
     if values.dtype.kind != "f":
         return None
     seconds = floats(values)
@@ -430,14 +432,14 @@ METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "i
 """Length of each unit, metres; the foot is the international one, 2 ppm from that of US surveys."""
 
 SMALL: tuple[Unit, ...] = ("cm", "mm", "in")
-"""Units in which ranges are so large that they cannot be metres; feet can."""
+"""Units in which ranges are too large to be mistaken for metres; feet are not."""
 
 NAMES: dict[Unit, str] = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 NAMES |= {"ft": "feet", "in": "inches"}
 
 
 def unit_named(name: str) -> Unit:
-    """Take the name of a unit.
+    """Check the name of a unit.
 
     Raises
     ------
@@ -450,7 +452,7 @@ def unit_named(name: str) -> Unit:
 
 
 def in_metres(cloud: PointCloud, unit: Unit) -> PointCloud:
-    """Bring a cloud whose coordinates and origin are in a unit to metres."""
+    """Convert a cloud with coordinates and origin in a unit to metres."""
     if unit == "m":
         return cloud
     return replace(cloud, xyz=cloud.xyz * METRES[unit], origin=cloud.origin * METRES[unit])

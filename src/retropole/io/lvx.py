@@ -102,7 +102,7 @@ def _look(path: Path) -> _File:
         signature, major, minor, _, _, magic, _, lidars = HEADER.unpack(file.read(HEADER.size))
         is_known = major == 2 or (major, minor) == (1, 1)
         if not signature.startswith(b"livox_tech") or magic != MAGIC or not is_known:
-            raise ValueError("it does not begin as one of version 2 or 1.1 does")
+            raise ValueError("it does not begin like a file of version 2 or 1.1")
         is_new = major == 2
         names = {}
         for _ in range(lidars):
@@ -117,7 +117,7 @@ def _look(path: Path) -> _File:
             # The last frame of a recording that was cut says where it would have ended.
             end = min(after, size) if after >= at + FRAME.size else at
             if end == at:
-                note = f"what follows byte {at:,} is damaged and left out"
+                note = f"the data after byte {at:,} are damaged and left out"
                 break
             frames.append((at + FRAME.size, end))
             at = end

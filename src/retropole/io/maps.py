@@ -25,7 +25,7 @@ def is_near(x: Array, y: Array, place: MapPlace) -> BoolArray:
 
 
 def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
-    """Take a cloud as that of a map about a place; without one, about the middle of its points.
+    """Treat a cloud as a map about a place; without one, about the middle of its points.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
     if place.at is None and (high - low)[:2].max() > 2 * REACH:
         raise ReadError(
-            f"the map spans {_spans(low, high)}: say roughly where in it the LiDAR is, with "
+            f"the map spans {_spans(low, high)}: give the rough position of the LiDAR in it with "
             "--prior-xyz"
         )
     rows = np.flatnonzero(is_near(cloud.xyz[:, 0], cloud.xyz[:, 1], place))
@@ -54,7 +54,7 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
 
 
 def nothing_near(place: MapPlace, count: int, low: Array, high: Array) -> ReadError:
-    """Say that a map has too few points near a place, and from where to where it has any."""
+    """Report that a map has too few points near a place, and the extent of its points."""
     where = ", ".join(f"{value:,.1f}" for value in place.at or ())
     return ReadError(
         f"{counted(count, 'point')} of the map within {REACH:g} m of ({where}), {FEWEST:,} are "

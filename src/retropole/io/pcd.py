@@ -141,7 +141,7 @@ def _parse_header(data: bytes) -> Header:
     notes = []
     if width * height == 0 < points:
         # Some writers know the number of points only; PCL reads it so, up to 1.12.
-        notes.append(f"WIDTH {width} and HEIGHT {height} are passed over: POINTS is {points}")
+        notes.append(f"WIDTH {width} and HEIGHT {height} are ignored: POINTS is {points}")
     elif width * height != points:
         product = f"WIDTH {width} times HEIGHT {height} is not POINTS {points}"
         raise ReadError(f"{product}: the header contradicts itself")

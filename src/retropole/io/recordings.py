@@ -234,7 +234,9 @@ def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
     """
     if frames is not None:
         if frames.step is not None and frames.step < 1:
-            raise UsageError(f"frames are read forwards, the step cannot be {frames.step}")
+            raise UsageError(
+                f"frames are read in increasing order, the step cannot be {frames.step}"
+            )
         wanted = range(*frames.indices(recording.count))
         if not wanted:
             parts = ("" if v is None else str(v) for v in (frames.start, frames.stop))

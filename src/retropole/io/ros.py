@@ -67,7 +67,7 @@ def open_bag(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Re
     chosen = _choose(path, topics, topic)
     if chosen.of_packets:
         return packets_in(path, chosen, wanted)
-    wanted.refuse_angles(f"{path}: topic {chosen.name} has no packets, angles are of no use")
+    wanted.refuse_angles(f"{path}: topic {chosen.name} has no packets, angles do not apply")
     return Recording(path, chosen.count, partial(_frames, path, chosen, wanted), topic=chosen.name)
 
 

@@ -93,7 +93,7 @@ def read_survey(
         place = _places(names)
         if is_map and _plain(names[place["e"]]) == "x":
             raise ReadError(
-                "has columns x and y: in some countries x is east, in others north; call them east "
+                "has columns x and y: in some countries x is east, in others north; name them east "
                 "and north"
             )
         units = [_unit(name) if k in place.values() else 1.0 for k, name in enumerate(names)]
@@ -167,7 +167,7 @@ def _named(lines: Sequence[str]) -> tuple[int, list[str]]:
                     raise LineError(
                         k,
                         "names latitude and longitude, expected east and north: export it in a "
-                        "projected system, and name that by epsg",
+                        "projected system, and give that system by epsg",
                     )
     return 0, []
 
@@ -176,8 +176,8 @@ def _places(names: Sequence[str]) -> dict[str, int]:
     """Columns of id, e, n and h, and of σe, σn and σh where they are there."""
     if not names:
         raise ReadError(
-            "no line names its columns, and programs write north first as well as east first; say "
-            'which by columns = "id, e, n, h" or "id, n, e, h"'
+            "no line has the names of columns, and programs write north first or east first; give "
+            'columns = "id, e, n, h" or "id, n, e, h"'
         )
     best: dict[str, tuple[int, int]] = {}
     for k, name in enumerate(names):
@@ -210,7 +210,7 @@ def _meanings(name: str) -> list[tuple[str, int]]:
 
 
 def _plain(name: str) -> str:
-    """Take letters alone, in lower case: ``Point Id`` and ``Easting [m]`` as pointid, easting."""
+    """Keep letters only, in lower case: ``Point Id`` and ``Easting [m]`` as pointid, easting."""
     return re.sub(r"[^a-zöσ]", "", IN_BRACKETS.sub("", name.lower().replace("3d", "")))
 
 

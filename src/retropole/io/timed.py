@@ -193,16 +193,16 @@ def times_by_azimuth(cloud: PointCloud, period: float) -> Array | None:
 
 def _no_times(cloud: PointCloud, name: str, stamp: float | None) -> Refusal:
     if stamp is None:
-        what = "its sweeps have no times, neither in them nor in the names of their files"
+        what = "its sweeps have no times, neither in the data nor in the names of their files"
         if cloud.time is not None:
-            what = f"its points count their times from each sweep, and {what}"
+            what = f"the times of its points are relative to each sweep, and {what}"
     elif cloud.time is None:
         what = (
-            "its points have no times, and they do not follow each other about the LiDAR, by which "
-            "the time of each could be found"
+            "its points have no times, and are not in the order of rotation, from "
+            "which the times could be computed"
         )
     else:
-        what = "a sweep has the time of the one before, or an earlier one"
+        what = "a sweep has the same time as the previous one, or an earlier one"
     return Refusal(
         "no_times",
         f"{cloud.source or name}: {what}; record with a time for each point",

@@ -43,8 +43,8 @@ class BoundedFile(io.BufferedReader):
         """
         if size is None or not 0 <= size <= LARGEST_RECORD:
             raise ReadError(
-                f"a record of {size:,} bytes; up to {LARGEST_RECORD:,} are read, and no recorder "
-                "writes so many"
+                f"a record of {size:,} bytes; up to {LARGEST_RECORD:,} are read, more than "
+                "any recorder writes"
             )
         return super().read(size)
 
@@ -71,7 +71,7 @@ def allowance(size: int, base: int = ALLOWED, ratio: int = ALLOWED_RATIO) -> Spe
         spent += count
         if spent > allowed:
             limit = f"its {size:,} bytes unpack to more than {allowed:,}"
-            raise ReadError(f"{limit}, which no recording does")
+            raise ReadError(f"{limit}, too much for a recording")
 
     return spend
 
@@ -95,14 +95,14 @@ def unpacked(kind: str, data: bytes, spend: Spend) -> bytes:
     """
     if kind not in ("bz2", "lz4", "zstd"):
         if len(data) > LARGEST_RECORD:
-            raise ReadError(f"a chunk or message of {len(data):,} bytes, which no recording has")
+            raise ReadError(f"a chunk or message of {len(data):,} bytes, too large for a recording")
         spend(len(data))
         return data
     out = io.BytesIO()
     for block in _blocks(kind, io.BytesIO(data), spend):
         if out.tell() + len(block) > MAX_UNPACKED:
             limit = f"{len(data):,} bytes of it unpack to more than {MAX_UNPACKED:,}"
-            raise ReadError(f"{limit}, which no chunk of a recording does")
+            raise ReadError(f"{limit}, too much for a chunk of a recording")
         out.write(block)
     return out.getvalue()
 

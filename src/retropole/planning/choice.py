@@ -175,7 +175,7 @@ class Design:
         changed = [squares + self.change(inverse, k, 1.0) for k in range(len(self.roots))]
         return np.asarray(np.sqrt(np.maximum(np.mean(changed, axis=1), 1e-18)))
 
-    def beside(self, chosen: Sequence[int]) -> Array:
+    def error_with_each(self, chosen: Sequence[int]) -> Array:
         """(C,) the error of `error_of` with each pole more than those that are chosen."""
         key = tuple(sorted(chosen))
         if key not in self.found:
@@ -303,7 +303,7 @@ def _best(design: Design, chosen: Sequence[Sequence[int]], p: int) -> tuple[int,
 def _ranked(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Iterator[tuple[int, float]]:
     """Yield the poles that may join a placement, and the error with each, best first."""
     used = [k for each in chosen for k in each]
-    error = design.beside(used) * walk_factor(design, chosen, p)
+    error = design.error_with_each(used) * walk_factor(design, chosen, p)
     for k in np.argsort(error, kind="stable").tolist():
         if k not in used and design.rules.allow(k, chosen[p]):
             yield k, float(error[k])

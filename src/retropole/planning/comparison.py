@@ -79,7 +79,7 @@ def against_plan(
     lidar: str | None = None,
     placement: int | None = None,
 ) -> StationView:
-    """Hold the poles that a LiDAR sees against the plan.
+    """Compare the poles that a LiDAR sees with the plan.
 
     Parameters
     ----------
@@ -146,15 +146,15 @@ def _match(
 
 def _missing(plan: PlannedPoleDoc) -> str:
     return (
-        f"pole {plan.name} is not seen within {FARTHEST:g} m of its place: is it up, taped, and "
-        f"does nothing hide it? ({plan.words.partition(': ')[2]})"
+        f"pole {plan.name} is not seen within {FARTHEST:g} m of its place: is it set up and "
+        f"taped, and is nothing in front of it? ({plan.words.partition(': ')[2]})"
     )
 
 
 def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
-    """Say how a pole leans, and where to move it as somebody sees it from the first LiDAR."""
+    """Describe how a pole leans, and where to move it as seen from the first LiDAR."""
     far = float(np.linalg.norm(offset))
-    where = f"pole {plan.name} stands {far:.2f} m and {np.degrees(turned):.0f}° from its plan"
+    where = f"pole {plan.name} is {far:.2f} m and {np.degrees(turned):.0f}° from its planned pose"
     if far <= NEAR and turned <= ALIKE:
         return f"{where}: good"
     # The origin of the scene is below the first LiDAR.
@@ -168,8 +168,8 @@ def _words(plan: PlannedPoleDoc, offset: Array, turned: float) -> str:
         ):
             if abs(size) > NEAR / 3:
                 steps.append(f"{abs(size):.1f} m {plus if size > 0 else minus}")
-    moves = [f"move it {' and '.join(steps)}, seen from the first LiDAR"] if steps else []
+    moves = [f"move it {' and '.join(steps)}, as seen from the first LiDAR"] if steps else []
     if turned > ALIKE:
         lean = "upright" if not plan.towards else f"{np.degrees(plan.lean_rad):.0f}° {plan.towards}"
-        moves.append(f"lean it {lean}" if plan.towards else f"stand it {lean}")
+        moves.append(f"lean it {lean}" if plan.towards else f"set it {lean}")
     return f"{where}: {'; '.join(moves)}"

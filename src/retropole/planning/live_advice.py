@@ -1,4 +1,4 @@
-"""The one next thing to do: so that both LiDARs see poles that can be calibrated by, and after an
+"""Advice on the next action: until both LiDARs see poles that suit a calibration, and after an
 answer whether to stop, keep still for longer, or move the poles."""
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from ..verdict import FEW_POINTS, WEAK_ANGLE
 from .live_poles import Looked, View, angle_between, hidden_by, is_same_pair, present
 
 BEST_REACH = 6.0
-"""How far from a LiDAR to put a pole that is too far, metres, where its rings do not show it: docs,
-Placing the poles, have 3 to 7 m."""
+"""Recommended distance for a pole that is too far away, metres, if the rings do not show it:
+docs/poles.md recommends 3 to 7 m."""
 
 NEAREST = 3.0
-"""No pole is sent nearer, metres."""
+"""No pole is to be moved nearer, metres."""
 
 SPOILT = {"moving_pole", "moving_lidar", "no_match", "placements_disagree", "poor_fit"}
 SPOILT |= {"poles_inconsistent", "poles_scene_contradict", "scene_contradicts"}
-"""Refusals after which the newest placement is left out: with others it would spoil them too."""
+"""Refusals after which the newest placement is left out: it would spoil the others too."""
 
 
 ENOUGH = 0.99
 """Probability that the need is fulfilled, from which a watch stops. More than `purpose.CONFIDENCE`,
-by which one answer is judged: a watch stops at the first of several that is good enough, and so
-rather at one that is luckily so. By 0.95 the need was fulfilled in 48 of 50 stops
+by which one answer is judged: a watch stops at the first of several that is good enough, which
+favours answers that are good by chance. By 0.95 the need was fulfilled in 48 of 50 stops
 (benchmarks/watch.py, good, seeds 1000 to 1055)."""
 
 
@@ -49,9 +49,9 @@ class Advice:
     code
         A name that stays the same: ``parallel``.
     words
-        For the people at the poles, a sentence or two.
+        For the people at the poles, one or two sentences.
     is_good
-        Nothing is to be done but to keep still.
+        Nothing is to be done except to keep still.
     """
 
     code: str
@@ -63,7 +63,7 @@ GOOD = Advice("good", "Good: keep still.", True)
 
 
 def advise(views: Sequence[View], now: float, *, needs_poles: bool = True) -> Advice:
-    """Choose what is to be done first: what hinders all goes before what makes it weak."""
+    """Choose the first action: obstacles to any answer come before weaknesses of the answer."""
     unseen = chain.from_iterable(_unseen(view, now) for view in views)
     if not needs_poles:
         return next(unseen, GOOD)
@@ -80,7 +80,7 @@ def advise(views: Sequence[View], now: float, *, needs_poles: bool = True) -> Ad
 
 
 def remedy_of(code: str) -> str:
-    """What is best done about a reason; empty where that is unknown."""
+    """The best action for a reason; empty if none is known."""
     explained = explain(code)
     return plain(explained.advice[0]) if explained and explained.advice else ""
 
@@ -90,8 +90,8 @@ def _unseen(view: View, now: float) -> Iterator[Advice]:
     if view.fault:
         yield Advice("unreadable", f"{view.name}: {view.fault}")
     elif looked is None or now - looked.at > 3.0:
-        why = view.silent or "its newest sweep is old"
-        yield Advice("silent", f"{view.name} gives no sweeps: {why}")
+        why = view.silent or "its latest sweep is old"
+        yield Advice("silent", f"{view.name} sends no sweeps: {why}")
     elif looked.refusal is not None:
         explained = explain(looked.refusal.code)
         remedy = plain(explained.advice[0]) if explained and explained.advice else ""
@@ -117,13 +117,13 @@ def _step_aside(name: str, before: float, away: float) -> Advice:
     where = f"{before:.1f} m" if before else "right"
     return Advice(
         "in_front",
-        f"Step aside: something {where} before {name} hides the pole that it saw {away:.1f} m "
+        f"Step aside: something {where} in front of {name} hides the pole that it saw {away:.1f} m "
         "away.",
     )
 
 
 def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
-    """Say of the LiDAR that sees the fewest poles, if fewer than two, what could be the other."""
+    """For the LiDAR that sees the fewest poles, if fewer than two: advise on the missing one."""
     counts = [len(present(view.tracks, now)) for view in views]
     k = int(np.argmin(counts))
     if counts[k] > 1:
@@ -150,26 +150,26 @@ def _missing(views: Sequence[View], now: float) -> Iterator[Advice]:
         where = f"{present(view.tracks, now)[0].distance:.1f} m from {view.name}"
         yield Advice(
             "missing",
-            f"Only one pole is seen, {where}. Stand another 1 to 4 m beside it, leaning by 15° "
+            f"Only one pole is seen, {where}. Place another 1 to 4 m next to it, leaning by 15° "
             "or more against it.",
         )
     else:
         yield Advice(
             "no_poles",
-            f"No LiDAR sees a pole. Stand two, {NEAREST:g} to {BEST_REACH + 1:g} m from both "
+            f"No LiDAR sees a pole. Place two, {NEAREST:g} to {BEST_REACH + 1:g} m from both "
             f"LiDARs{''.join(map(_ahead, views))}, with retro-reflective tape all around.",
         )
 
 
 def _ahead(view: View) -> str:
-    """Say where a LiDAR sees that does not see all around."""
+    """Describe the field of view of a LiDAR if it is limited."""
     if view.sensor is None or view.sensor.sees_all_around:
         return ""
     return f", inside the {math.degrees(view.sensor.turn):.0f}° that {view.name} sees"
 
 
 def _pairs(view: View, now: float) -> Iterator[tuple[Pole, Pole]]:
-    """Any two poles of a LiDAR; of fewer than two, the one with what may be another."""
+    """Any two poles of a LiDAR; if it sees fewer than two, the one with a possible second."""
     poles = [track.pole for track in present(view.tracks, now)]
     if len(poles) > 1:
         yield from permutations(poles, 2)
@@ -183,28 +183,28 @@ def _best(poles: Sequence[Pole]) -> Pole:
 
 
 def _doubtful(sees: str, name: str, pole: Pole, looked: Looked) -> Advice:
-    """Say what is wrong with a line that fits to what the other LiDAR sees."""
+    """Explain the fault of a line that fits a pole of the other LiDAR."""
     away = float(np.linalg.norm(pole.point))
     if any(pole is each for each in looked.dim):
         return Advice(
             "dim",
             f"{sees}. The tape of the other, {away:.1f} m away, is too dim for it: put on new "
-            "tape, all around, or stand it nearer. It would need a threshold below "
+            "tape, all around, or place it nearer. It would need a threshold below "
             f"{looked.threshold:.3g}.",
         )
     what = f"{sees}. The other, {away:.1f} m away, has {counted(len(pole.xyz), 'return')} on "
     what += counted(pole.rings, "ring")
     if len(pole.xyz) < FEW_POINTS or pole.rings <= MIN_POLE_RINGS:
-        return Advice("too_far", f"{what}: stand it {_nearer(pole, name)}.")
+        return Advice("too_far", f"{what}: place it {_nearer(pole, name)}.")
     why = next(w for each, w in zip(looked.doubtful, looked.why, strict=True) if each is pole)
     return Advice(
         "doubtful",
-        f"{what}, but {why}. Stand it free, 0.5 m from all else; is --radius right?",
+        f"{what}, but {why}. Place it 0.5 m from everything else; is --radius right?",
     )
 
 
 def _nearer(pole: Pole, name: str) -> str:
-    """How much nearer a pole has to be for rings and returns enough."""
+    """How much nearer a pole has to be for enough rings and returns."""
     away = float(np.linalg.norm(pole.point))
     share = min(pole.rings / (MIN_POLE_RINGS + 2), math.sqrt(len(pole.xyz) / (1.5 * FEW_POINTS)))
     to = max(min(away * share, max(BEST_REACH, 0.7 * away)), min(NEAREST, 0.7 * away))
@@ -216,7 +216,9 @@ def _moving(view: View, now: float) -> Iterator[Advice]:
     moving = [track for track in restless if track.has_moved]
     which = " and ".join(f"{track.distance:.1f} m" for track in moving or restless)
     if moving:
-        yield Advice("moving", f"Keep the poles still: {view.name} sees one move, {which} away.")
+        yield Advice(
+            "moving", f"Keep the poles still: {view.name} sees one that moves, {which} away."
+        )
     elif restless:
         yield Advice("settling", f"Wait a moment: {view.name} watches the pole {which} away.")
 
@@ -238,13 +240,13 @@ def _edge(view: View, now: float) -> Iterator[Advice]:
         if view.is_at_edge(track.pole):
             yield Advice(
                 "at_edge",
-                f"The pole {track.distance:.1f} m from {view.name} is at the edge of what it sees: "
-                "move it a metre inward.",
+                f"The pole {track.distance:.1f} m from {view.name} is at the edge of its field "
+                "of view: move it a metre inward.",
             )
 
 
 def _weak(view: View, now: float) -> Iterator[Advice]:
-    """Say of the second best pole, since two hold a pose."""
+    """Advise on the second best pole, since two determine a pose."""
     here = list(present(view.tracks, now))
     here.sort(key=lambda track: (track.pole.rings, len(track.pole.xyz)), reverse=True)
     if len(here) < 2:
@@ -259,24 +261,24 @@ def _weak(view: View, now: float) -> Iterator[Advice]:
         have = f"{counted(len(pole.xyz), 'return')} on {counted(pole.rings, 'ring')}"
         yield Advice(
             "nearer",
-            f"{view.name} has {have} of the pole {away:.1f} m away: stand it "
+            f"{view.name} has {have} of the pole {away:.1f} m away: place it "
             f"{_nearer(pole, view.name)}.",
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """An answer, and what follows from it.
+    """An answer, and its consequences for the next action.
 
     Attributes
     ----------
     document
         The answer.
     need
-        How accurate it must be.
+        The required accuracy.
     probability, bound
-        That it is; and what no point up to there is off by more than, with 95 % probability,
-        metres. None where it was refused.
+        That the need is fulfilled; and the error bound of all points up to that range, with 95 %
+        probability, metres. None if it was refused.
     """
 
     document: ResultDoc
@@ -292,13 +294,13 @@ class Outcome:
 
     @property
     def is_spoilt(self) -> bool:
-        """Whether the newest placement is of no use to others."""
+        """Whether the newest placement cannot be combined with others."""
         codes = {reason.code for reason in self.document.reasons}
         return self.document.status == "refused" and bool(codes & SPOILT)
 
     @property
     def seconds_more(self) -> float:
-        """How much longer to record, where masts sway and that is why the need is not fulfilled."""
+        """How much longer to record, if the need is not fulfilled because masts sway."""
         budget = self.document.budget or []
         if self.is_enough or not budget or budget[0].name != SWAY:
             return 0.0
@@ -306,24 +308,24 @@ class Outcome:
 
 
 def outcome_of(document: ResultDoc, need: Need | None) -> Outcome:
-    """Judge an answer by what it is needed for, or by what any answer is good for."""
+    """Judge an answer by the given need, or by the default need."""
     requested = need or USABLE
     if document.covariance is None:
         return Outcome(document, requested, None, None)
-    # That of the document counts that the answer may be another pose altogether.
+    # That of the document includes the possibility of an entirely wrong pose.
     fit = document.fitness or fitness(document.covariance, requested)
     return Outcome(document, requested, fit.probability, fit.bound_m)
 
 
 def advice_after(outcome: Outcome, again: str) -> Advice:
-    """Say what to do next, after an answer.
+    """Advise on the next action after an answer.
 
     Parameters
     ----------
     outcome
         Of all that was recorded.
     again
-        What is to be recorded where that is not enough.
+        What to record if that is not enough.
     """
     document = outcome.document
     if outcome.is_enough:
@@ -333,8 +335,8 @@ def advice_after(outcome: Outcome, again: str) -> Advice:
         if least > outcome.need.within:
             return Advice(
                 "need_too_small",
-                f"No recording shows less than {at_most(least)}: end here, or ask for less with "
-                f"--need-cm. {_so_far(outcome).capitalize()}.",
+                f"No recording can show less than {at_most(least)}: stop here, or require less "
+                f"with --need-cm. {_so_far(outcome).capitalize()}.",
             )
         return Advice(
             "need_not_met",
@@ -357,18 +359,18 @@ def advice_after(outcome: Outcome, again: str) -> Advice:
 
 def another(placements: int) -> str:
     """Recommend what to record after a number of placements of poles that are set up."""
-    return f"Placement {placements + 1}: stand the poles elsewhere, on another side."
+    return f"Placement {placements + 1}: set up the poles at other positions, on another side."
 
 
 def _so_far(outcome: Outcome) -> str:
     at = f"up to {outcome.need.at:g} m away"
     if outcome.bound is None:
-        return f"nothing {at} is sure"
+        return f"no error bound {at} is certain"
     return f"no point {at} is off by more than {at_most(outcome.bound)}, 95 % sure"
 
 
 def keep_still(captured: int, wanted: int, seconds: float) -> Advice:
-    """Say that all is good, and how much is still to come."""
+    """Report that all is good, and how much remains."""
     left = f", {math.ceil(seconds)} s more" if seconds > 1 and captured >= wanted else ""
     return Advice(
         "good", f"Good: keep still, {captured} of {counted(wanted, 'sweep')}{left}.", True

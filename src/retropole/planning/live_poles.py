@@ -1,5 +1,5 @@
-"""Sweeps as they come: the poles in each, which of them is which, whether it moves, and the
-sweeps that are kept while all do."""
+"""Sweeps as they arrive: the poles in each, their identity and motion, and the sweeps that are
+kept while all are at rest."""
 
 from __future__ import annotations
 
@@ -25,35 +25,38 @@ from ..result.watching import LidarNow, PoleNow
 from ..verdict import FEW_POINTS
 
 AT_EDGE = 0.5
-"""A pole so near to the end of the field of view, metres, leaves it when it leans by 15°."""
+"""Distance from the end of the field of view, metres, within which a pole would leave it when
+leaning by 15°."""
 
 STILL = 1.0
 """A pole that did not move for this long is stationary, s."""
 
 MOVED, MOVED_FAR = 0.06, 0.004
-"""A pole moved where the middle or an end of its returns lies so far from its line before, metres,
-and this much more a metre of range: lines of one sweep scatter by half of that on simulated poles
+"""A pole moved if the middle or an end of its returns is this far from its previous line, metres,
+plus this much per metre of range: lines of one sweep scatter by half of that on simulated poles
 (benchmarks/watch.py, seeds to 99)."""
 
 SAME = 0.5
-"""What lies no farther from where a pole was is that pole, metres: somebody carries it."""
+"""A line no farther than this from the previous position of a pole is the same pole, metres:
+somebody carries it."""
 
 LATELY, REMEMBERED = 1.0, 30.0
-"""A pole is there that was seen so lately, and is missed for so long after, s: one at the limit of
-what can be found is not in every sweep."""
+"""A pole is present if it was seen within the first time, and missing for the second time after,
+s: one at the limit of detection is not found in every sweep."""
 
 LATELY_CAME = 3.0
-"""How often sweeps come and are searched is counted over this many seconds."""
+"""The rates at which sweeps arrive and are searched are averaged over this many seconds."""
 
 SAME_ANGLE, SAME_GAP, PARALLEL = float(np.radians(6.0)), 0.2, float(np.radians(3.0))
-"""Two LiDARs see the same two poles where the angles between them, rad, and the distances, metres,
+"""Two LiDARs see the same two poles if the angles between them, rad, and the distances, metres,
 differ by less; nearer to parallel than the last, rad, the distance is that of parallel lines."""
 
 SWEEPS = 15
-"""Of each LiDAR that are kept of a placement."""
+"""Number of sweeps of each LiDAR that are kept for a placement."""
 
 LEAST_SECONDS = 3.0
-"""They take no less, s: of sweeps that come faster more are kept, and a sway shows."""
+"""Shortest duration of a placement, s: at a higher rate more sweeps are kept, so that a sway is
+seen."""
 
 MOST_SWEEPS = 150
 """More are not kept, 15 s at 10 Hz: 1.5 GB of two LiDARs with 100,000 points."""
@@ -71,9 +74,9 @@ class Tracked:
     number
         From 1, by the order of appearance; kept while it is remembered.
     pole
-        As it was last seen.
+        As last seen.
     rest
-        As it was seen when it came to rest.
+        As seen when it came to rest.
     since, seen
         When it came to rest, and when it was last seen, s.
     has_moved
@@ -112,10 +115,10 @@ class Looked:
     refusal
         Why it could not be searched.
     doubtful, why, dim
-        Where fewer than two poles are found: lines that may be poles, in words why each is doubted,
+        If fewer than two poles are found: lines that may be poles, in words why each is doubtful,
         and lines whose tape is too dim for the threshold.
     threshold
-        Intensity from which a return counted as tape; NaN if it was not searched.
+        Intensity from which a return was treated as tape; NaN if it was not searched.
     """
 
     at: float
@@ -136,7 +139,7 @@ def look(
     threshold: float | None,
     radius: float,
 ) -> Looked:
-    """Search one sweep for poles, and where too few are found for what may be one."""
+    """Search one sweep for poles, and if too few are found for candidates."""
     try:
         found = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
         if len(found.poles) > 1:
@@ -145,14 +148,14 @@ def look(
         dim = with_dimmer_candidates(cloud, doubtful, radius, sensor)
     except Refusal as refusal:
         return Looked(at, cloud, refusal=refusal)
-    new = _apart(doubtful.candidates, found)
+    new = _other_candidates(doubtful.candidates, found)
     return Looked(
         at,
         cloud,
         found.poles,
         doubtful=new,
         why=tuple(_why(each, doubtful) for each in new),
-        dim=tuple(p for p in _apart(dim.candidates, found) if not _is_any(p, new)),
+        dim=tuple(p for p in _other_candidates(dim.candidates, found) if not _is_any(p, new)),
         threshold=found.threshold,
     )
 
@@ -163,7 +166,7 @@ def _why(pole: Pole, found: Detection) -> str:
     return max(shared, default=(0, ""))[1]
 
 
-def _apart(candidates: Sequence[Pole], found: Detection) -> tuple[Pole, ...]:
+def _other_candidates(candidates: Sequence[Pole], found: Detection) -> tuple[Pole, ...]:
     """Those that are none of the poles."""
     return tuple(each for each in candidates if not _is_any(each, found.poles))
 
@@ -181,7 +184,7 @@ def away_from(pole: Pole, other: Pole) -> float:
 
 
 def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
-    """Follow the poles that were known into a sweep; new ones get the lowest free number."""
+    """Track the known poles into a sweep; new ones get the lowest free number."""
     left = list(tracks)
     followed = list[Tracked]()
     fresh = list[Pole]()
@@ -208,14 +211,14 @@ def follow(tracks: Sequence[Tracked], looked: Looked) -> tuple[Tracked, ...]:
 
 
 def present(tracks: Sequence[Tracked], now: float) -> tuple[Tracked, ...]:
-    """Those that were seen lately."""
+    """Those that were seen recently."""
     return tuple(each for each in tracks if now - each.seen <= LATELY)
 
 
 def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
-    """Distance of what hides a pole, metres; None if nothing does.
+    """Distance of the object that hides a pole, metres; None if it is not hidden.
 
-    0 where it is too near to be measured.
+    0 if it is too near to be measured.
     """
     seen = cloud.xyz - cloud.origin
     ranges = lengths(seen)
@@ -227,8 +230,8 @@ def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
     sine = float(np.linalg.norm(level))
     if sine < 1e-3:
         return None
-    # The pole is a strip: along it as far as its returns, across it as far as what may hide it.
-    # That is 0.4 m nearer, three returns at least.
+    # The pole is a strip: along it as far as its returns, across it as far as an object may hide
+    # it. That is 0.4 m nearer, three returns at least.
     beams = seen / ranges[:, None]
     across = np.abs(beams @ (level / sine))
     ahead = beams @ middle
@@ -236,7 +239,7 @@ def hidden_by(cloud: PointCloud, pole: Pole) -> float | None:
     strip = (across < np.sin(beside)) & (ahead > np.cos(half + beside))
     before = strip & (ranges < away - 0.4)
     if np.count_nonzero(before) < 3:
-        # With this few returns at any distance, something is nearer than the LiDAR measures.
+        # With this few returns at any distance, an object is nearer than the LiDAR can measure.
         return 0.0 if np.count_nonzero(strip) < 0.1 * len(pole.xyz) else None
     return float(np.median(ranges[before]))
 
@@ -263,20 +266,20 @@ def angle_between(poles: Sequence[Pole]) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A LiDAR and what it sees now.
+    """A LiDAR and its current view.
 
     Attributes
     ----------
     name
-        What words call it.
+        Its name in messages.
     tracks
-        The poles that it saw lately.
+        The poles that it saw recently.
     looked
         Its newest sweep that was searched; None before the first.
     silent
-        Why nothing comes; empty while sweeps come.
+        Why nothing arrives; empty while sweeps arrive.
     fault
-        What is wrong with what comes; empty if nothing is.
+        The fault of the data; empty if there is none.
     sensor
         Its model; None if it is not known.
     """
@@ -298,7 +301,7 @@ class View:
 
 
 def fault_of(track: Tracked, now: float) -> str:
-    """What is wrong with a pole, in two or three words; empty if nothing is."""
+    """The fault of a pole, in two or three words; empty if there is none."""
     if now - track.seen > LATELY:
         return "lost"
     if not track.is_still(now):
@@ -309,7 +312,7 @@ def fault_of(track: Tracked, now: float) -> str:
 
 
 class Origin(NamedTuple):
-    """Where sweeps come from: the name of their frame, and who sends their packets."""
+    """Origin of sweeps: the name of their frame, and the sender of their packets."""
 
     frame_id: str
     sender: str
@@ -323,7 +326,7 @@ class Origin(NamedTuple):
 
 @dataclass
 class Watched:
-    """What is known of a LiDAR while it is watched: its sweeps are searched from this intensity up.
+    """State of a LiDAR while it is watched: its sweeps are searched from this intensity up.
 
     Once a placement is kept, sweeps of another origin are not of this LiDAR. Of one that does not
     repeat its pattern the `recent` sweeps are searched together.
@@ -338,7 +341,7 @@ class Watched:
     recent: deque[PointCloud] = field(default_factory=deque)
 
     def accumulated(self, cloud: PointCloud) -> PointCloud:
-        """Give a sweep with as many before it as show a pole well."""
+        """Give a sweep merged with as many previous ones as are needed to show a pole well."""
         sweeps = 1 if self.view.sensor is None else self.view.sensor.sweeps
         if sweeps == 1 or cloud.intensity is None:
             return cloud
@@ -357,8 +360,8 @@ class Watched:
 
 
 class Received(NamedTuple):
-    """What came from a LiDAR: a sweep that is of use, or None; what to report of it; whether it
-    is of another frame than those before."""
+    """Data from a LiDAR: a usable sweep, or None; what to report about it; whether its
+    frame differs from the previous ones."""
 
     frame: Frame | None = None
     messages: tuple[str, ...] = ()
@@ -366,7 +369,7 @@ class Received(NamedTuple):
 
 
 def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: bool) -> Received:
-    """Take the newest sweep of a LiDAR, and search it for stationary poles.
+    """Read the newest sweep of a LiDAR, and search it for stationary poles.
 
     Parameters
     ----------
@@ -377,12 +380,12 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
     clock
         Gives the time, s.
     busy
-        Search but rarely.
+        Search rarely.
     """
     received, now, view = receive(lidar, clock), clock(), lidar.view
     if received.frame is None:
         return received
-    # While the answer is worked out, both share the time.
+    # While the answer is computed, both share the time.
     if busy and view.looked is not None and now - view.looked.at < 0.8:
         return received._replace(frame=None)
     cloud = lidar.accumulated(received.frame.cloud)
@@ -393,7 +396,7 @@ def take(lidar: Watched, radius: float, clock: Callable[[], float], *, busy: boo
 
 
 def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
-    """Take the newest sweep of a LiDAR, with returns and from where those before came."""
+    """Read the newest sweep of a LiDAR, with returns and from the same origin as before."""
     view = lidar.view
     try:
         frame = lidar.source.newest(0.05)
@@ -410,10 +413,10 @@ def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
         messages += frame.cloud.notes
         is_other = lidar.origin is not None
         if is_other:
-            messages.append(f"its sweeps come from {origin.words} now")
+            messages.append(f"its sweeps now come from {origin.words}")
         lidar.origin = origin
     if lidar.kept not in (None, origin):
-        fault = f"its sweeps come from {origin.words}, those that are kept from {lidar.kept.words}"
+        fault = f"its sweeps come from {origin.words}, the stored ones from {lidar.kept.words}"
         lidar.view = replace(view, fault=fault)
         return Received(None, tuple(messages), is_other)
     lidar.came.append((now, frame.number))
@@ -424,7 +427,7 @@ def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
 
 
 def seen_now(lidar: Watched, now: float) -> LidarNow:
-    """Say what a LiDAR sees now."""
+    """Describe the current view of a LiDAR."""
     view, looked = lidar.view, lidar.view.looked
     came = list(lidar.came)
     recent = [(at, number) for at, number in came if now - at <= LATELY_CAME]
@@ -463,7 +466,7 @@ def seen_now(lidar: Watched, now: float) -> LidarNow:
 
 
 def _skipped(name: str, came: int, taken: int, seconds: float) -> str:
-    """Say how many sweeps were not taken of those that came; nothing if all were."""
+    """Report how many of the sweeps that arrived were not used; nothing if all were."""
     if taken >= came:
         return ""
     return (
@@ -474,7 +477,7 @@ def _skipped(name: str, came: int, taken: int, seconds: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """What is kept of one placement.
+    """The data kept for one placement.
 
     Attributes
     ----------
@@ -483,7 +486,7 @@ class Capture:
     start
         When it began, s.
     seconds
-        How long it has to take.
+        Its required duration.
     poles
         That each LiDAR saw at its start.
     """
@@ -495,11 +498,11 @@ class Capture:
 
     @property
     def count(self) -> int:
-        """How many sweeps are kept of the LiDAR that has the fewest."""
+        """Number of sweeps kept for the LiDAR that has the fewest."""
         return min(len(own) for own in self.frames)
 
     def with_frame(self, lidar: int, frame: Frame) -> Capture:
-        """Keep one sweep more; none beyond `MOST_SWEEPS`."""
+        """Keep one more sweep; none beyond `MOST_SWEEPS`."""
         own = self.frames[lidar]
         if len(own) >= MOST_SWEEPS:
             return self
@@ -507,7 +510,7 @@ class Capture:
         return replace(self, frames=frames)
 
     def is_full(self, wanted: int, now: float) -> bool:
-        """Whether there are enough sweeps, over time enough."""
+        """Whether there are enough sweeps, over enough time."""
         enough = self.count >= wanted and now - self.start >= self.seconds
         return enough or self.count >= MOST_SWEEPS
 
@@ -528,6 +531,6 @@ def is_new_placement(capture: Capture, tracks: Sequence[Sequence[Tracked]], now:
 
 
 def _along(new: Tracked, old: Tracked) -> float:
-    """How far the middle lies beyond the returns of before, metres."""
+    """Distance of the middle beyond the previous returns, metres."""
     gap = abs(float((new.pole.point - old.pole.point) @ old.pole.direction))
     return max(gap - old.pole.length / 2, 0.0)

@@ -1,4 +1,4 @@
-"""The scene as it was recorded without poles: its ground, and the possible poles on it.
+"""The scene recorded without poles: its ground, and possible positions of poles on it.
 
 All is in the frame of the scene, whose z axis points up from the ground. For each possible pole
 it is known which beams of each LiDAR hit it.
@@ -28,43 +28,43 @@ CELL = 0.25
 """Side of a cell of the ground, metres."""
 
 FOOT, FOOT_POINTS = 0.5, 3
-"""The ground at a foot is what lies within this many metres of it, of at least this many
-returns."""
+"""The ground at a foot is formed by the returns within this many metres, of which there must be at
+least this many."""
 
 SPREAD = 0.25
-"""Ground is bare and flat where its cells within `FOOT` reach no higher above each other, metres:
-a pole's foot is on it, and on a slope of 14°."""
+"""Ground is bare and flat if its cells within `FOOT` differ in height by no more than this,
+metres: this includes the foot of a pole, and a slope of 14°."""
 
 STEP, AROUND = 0.4, 3.0
-"""Ground lies no higher than this above the lowest within this many metres: else it is the top of
-something, such as a car."""
+"""Ground is no higher than this above the lowest within this many metres: otherwise it is the top
+of an object, such as a car."""
 
 FARTHEST = 15.0
-"""Ground farther from every LiDAR is not looked at, metres: hardly a beam hits a pole there."""
+"""Ground farther from every LiDAR is not considered, metres: hardly any beam hits a pole there."""
 
 ABOVE = 0.3
 """Returns this high above the ground are of an object, metres."""
 
 CLEARANCE = 0.6
-"""So far a pole keeps from it, metres (docs/poles.md)."""
+"""Distance of a pole from objects, metres (docs/poles.md)."""
 
 LIDAR_CLEARANCE = 1.0
-"""Poles keep so far from a LiDAR, metres."""
+"""Distance of poles from a LiDAR, metres."""
 
 MIN_FEET = 4
-"""Fewer places for a foot are no ground for poles."""
+"""With fewer positions for a foot there is no ground for poles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A LiDAR at its pose, and what it recorded there without poles.
+    """A LiDAR at its pose, and its recording there without poles.
 
     Attributes
     ----------
     name
         What it is called.
     cloud
-        In its own frame, the beams starting at its origin (0, 0, 0).
+        In its frame, with the beam origin at (0, 0, 0).
     sensor
         What recorded it; None if not known.
     beams
@@ -72,9 +72,9 @@ class Station:
     T
         (4, 4) its pose in the frame of the scene.
     origin
-        (3,) where its beams start in the frame of its recording, metres.
+        (3,) beam origin in the frame of its recording, metres.
     is_refined
-        Whether what was recorded, or drawn, says so; else it is as it was given.
+        Whether the pose was refined by the recordings, or drawn; else it is as given.
     """
 
     name: str
@@ -114,14 +114,14 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What is known of the ground, and what is on it.
+    """The ground, and the objects on it.
 
     Attributes
     ----------
     feet
         (F, 3) possible feet, the middle of each cell on the ground.
     objects
-        What was recorded above the ground, to keep away from.
+        Points recorded above the ground, from which poles keep a distance.
     """
 
     feet: Array
@@ -150,7 +150,7 @@ def survey(
     Raises
     ------
     Refusal
-        ``no_ground`` where there is none that is bare and flat.
+        ``no_ground`` if there is none that is bare and flat.
     """
     points = np.concatenate([se3.apply(each.T, each.cloud.xyz) for each in stations])
     lidars = np.stack([each.at for each in stations])
@@ -161,7 +161,8 @@ def survey(
         raise Refusal(
             "no_ground",
             f"no LiDAR recorded anything within {FARTHEST:g} m of it, the nearest return is "
-            f"{near.min(initial=np.inf):.1f} m away: no pole can stand where it would be seen",
+            f"{near.min(initial=np.inf):.1f} m away: a pole cannot be set up where it would be "
+            "seen",
             {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
         )
     points = points[near < FARTHEST]
@@ -171,7 +172,7 @@ def survey(
     top = ndimage.maximum_filter(high, footprint=disc, mode="constant", cval=-np.inf)
     around = ndimage.minimum_filter(low, footprint=_disc(AROUND), mode="constant", cval=np.inf)
     enough = ndimage.convolve(count, disc.astype(count.dtype), mode="constant") >= FOOT_POINTS
-    # What lies between the returns around a box may be its inside.
+    # The space between the returns around a box may be its inside.
     enough &= ndimage.maximum_filter(count, size=3, mode="constant") > 0
     flat = enough & (top < bottom + SPREAD) & (bottom < around + STEP)
     x, y = np.nonzero(flat)
@@ -188,11 +189,11 @@ def survey(
         raise Refusal(
             "no_ground",
             f"the recordings show {np.count_nonzero(flat)} squares of {CELL:g} m on bare, flat "
-            f"ground within {FARTHEST:g} m, {np.count_nonzero(kept)} of them{where}: no pole can "
-            "stand",
+            f"ground within {FARTHEST:g} m, {np.count_nonzero(kept)} of them{where}: a pole "
+            "cannot be set up",
             {"places": int(np.count_nonzero(flat)), "allowed": int(np.count_nonzero(kept))},
         )
-    # Where nothing low is near, what was recorded is on something.
+    # If nothing low is near, the recorded points are on an object.
     floors = np.where(bottom < around + STEP, bottom, around)
     floor = floors[tuple(((points[:, :2] - corner) / CELL).astype(np.intp).T)]
     return Surroundings(feet[kept], cKDTree(points[points[:, 2] > floor + ABOVE]))
@@ -211,27 +212,29 @@ DIRECTIONS = 4
 """Directions that a pole is tried to lean in, evenly over the turn."""
 
 MOST_FEET = 40
-"""Places that are looked at first: their spacing is as wide as that takes."""
+"""Number of positions that are tried first: it determines their spacing."""
 
 FEET_OF_TWO = 8
-"""Of several LiDARs, those that every two see together: with less, far ones had none."""
+"""With several LiDARs, the number for every two that see them: with fewer, far ones had none."""
 
 SPACINGS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Spacings that are tried for them, metres."""
 
 MIN_RETURNS, MIN_RINGS = 14, 4
-"""Returns that a LiDAR must have on a pole, and on how many rings where these are known: half as
-many again as the least that is detected, since real tape and real ground are not as drawn."""
+"""Returns that a LiDAR must have on a pole, and the number of rings if these are
+known: 1.5 times the minimum for detection, since real tape and ground differ from the model."""
 
 MIN_CORE = 10
-"""… and those of infinitely thin beams: 8 on 3 rings are what the simulator takes for seen."""
+"""… and those of infinitely thin beams: in the simulator a pole with 8 on 3 rings is treated as
+seen."""
 
 FAR = 600.0
-"""A LiDAR sees a pole as far away as this many times its radius: one of 4 cm up to 12 m. With poles
-10 m from masts nearly all runs are answered, 15 m from them a fifth is not (masts.py)."""
+"""A LiDAR sees a pole up to a distance of this many times its radius: one of 4 cm diameter up to
+12 m. With poles 10 m from masts nearly all runs are answered, with 15 m a fifth is not
+(masts.py)."""
 
 IN_VIEW = 0.7
-"""Share of the beams toward a pole that must reach it: less, and something hides it."""
+"""Share of the beams toward a pole that must reach it: with less, the pole is hidden."""
 
 
 IN_FIELD = 0.95
@@ -273,7 +276,8 @@ class Candidates:
 
 
 class Hits(NamedTuple):
-    """The beams of one LiDAR that hit a pole, and their ranges (M,); how many pointed at it."""
+    """The beams of one LiDAR that hit a pole, and their ranges (M,); the number that pointed at
+    it."""
 
     beam: IntArray
     ranges: Array
@@ -281,7 +285,7 @@ class Hits(NamedTuple):
 
 
 def beams_hit(pole: Cylinder, beams: RecordedBeams, divergence: float) -> Hits:
-    """Find the beams that hit a pole before anything else."""
+    """Find the beams that hit a pole before any other object."""
     toward = pole.centre - beams.origin
     away = float(np.linalg.norm(toward))
     if away <= pole.bounding_radius:
@@ -313,7 +317,7 @@ def sees_core(pole: Cylinder, met: IntArray, beams: RecordedBeams) -> bool:
 def who_sees(
     candidates: Candidates, stations: Sequence[Station], divergences: Sequence[float]
 ) -> BoolArray:
-    """Say which LiDAR sees which pole, (C, L), each pole by itself."""
+    """Find which LiDAR sees which pole, (C, L), each pole separately."""
     seen = np.zeros((len(candidates), len(stations)), dtype=bool)
     for i, (station, divergence) in enumerate(zip(stations, divergences, strict=True)):
         beams = station.seen_from_place()
@@ -330,9 +334,9 @@ def who_sees(
 
 
 def field_of(station: Station) -> Sensor | None:
-    """Give the sensor of a LiDAR that does not see all around, where it was recorded in its frame.
+    """Give the sensor of a LiDAR with a limited field of view, if it was recorded in its frame.
 
-    None for any other: of a recording that was turned it is not known where its field ends.
+    None for any other: the limits of the field of view are not known for a rotated recording.
     """
     sensor = station.sensor
     if sensor is None or sensor.sees_all_around:
@@ -356,7 +360,7 @@ def candidate_poles(
     length: float,
     radius: float,
 ) -> tuple[Candidates, BoolArray]:
-    """Place poles on the ground, upright and leaning, where two LiDARs or more see them.
+    """Place poles on the ground, upright and leaning, where at least two LiDARs see them.
 
     Returns
     -------
@@ -378,7 +382,8 @@ def candidate_poles(
 
 
 def shared_feet(feet: Array, seen: BoolArray) -> Array:
-    """Keep feet (F, 3) of each two LiDARs that see poles there, evenly over what they share."""
+    """Keep feet (F, 3) for every two LiDARs that see poles there, evenly over their common
+    ground."""
     shared = [feet[seen[:, i] & seen[:, j]] for i, j in combinations(range(seen.shape[1]), 2)]
     count = MOST_FEET if len(shared) == 1 else FEET_OF_TWO
     kept = np.concatenate([at_most(own, count) for own in shared])

@@ -1,7 +1,7 @@
 """From bare recordings to the positions of the poles: the planner on one page.
 
-`rehearse` is the calibration before anyone drives out: poles are put into the recordings, and all
-is run.
+`rehearse` is the calibration before anyone drives out: poles are inserted into the recordings, and
+the whole method is run.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from .prediction import (
 )
 
 Rehearsal = Calibration | SiteCalibration
-"""What two LiDARs answer, or a site of more."""
+"""The answer for two LiDARs, or for a site."""
 
 
 def recordings_with(
@@ -53,10 +53,11 @@ def recordings_with(
     *,
     again: bool = False,
 ) -> list[PointCloud]:
-    """Put poles, in the frame of the scene, into the recording of each LiDAR.
+    """Insert poles, in the frame of the scene, into the recording of each LiDAR.
 
-    The scene was recorded once. Recorded `again`, for another placement, its ranges have other
-    noise: number for number the same, it would be refused as one recording given twice.
+    The scene was recorded once. If it is recorded `again`, for another placement, its
+    ranges get other noise: with identical numbers, it would be refused as one recording given
+    twice.
     """
     made = []
     for each, width in zip(stations, divergences_of(stations), strict=True):
@@ -77,7 +78,7 @@ def rehearse(
     radius: float,
     need: Need | None = None,
 ) -> Rehearsal:
-    """Calibrate with the poles of all placements, as if they were there already."""
+    """Calibrate with the poles of all placements, as if they had been set up."""
     rng = np.random.default_rng(0)
     clouds = [
         recordings_with(stations, poles, rng, again=p > 0) for p, poles in enumerate(placements)
@@ -98,8 +99,8 @@ LENGTH = 2.0
 """Of the poles by default, metres."""
 
 WORTH = 0.15
-"""One pole or placement more is worth it where it takes so large a part of the error away, or where
-it makes the verdict better."""
+"""One pole or placement more is worthwhile if it reduces the error by this part,
+or improves the verdict."""
 
 VERDICTS: tuple[Status, ...] = ("refused", "warn", "ok")
 """From the worst to the best."""
@@ -107,7 +108,7 @@ VERDICTS: tuple[Status, ...] = ("refused", "warn", "ok")
 
 @dataclass(frozen=True, eq=False)
 class More:
-    """What one pole, or one placement, more would bring.
+    """The gain from one pole, or one placement, more.
 
     Attributes
     ----------
@@ -118,11 +119,11 @@ class More:
     error, alone
         Largest error of all LiDARs at the range with it, metres; and by the poles alone.
     gain
-        Part of the error that it takes away.
+        Part of the error that is removed.
     status
         The verdict of its rehearsal; None if that of the plan is ok, and none was made.
     is_better
-        Whether that verdict is better than the plan's; None if it is as good.
+        Whether that verdict is better than the plan's; None if it is equal.
     """
 
     what: Literal["pole", "placement"]
@@ -135,7 +136,8 @@ class More:
 
     @property
     def is_worth_it(self) -> bool:
-        """Whether the verdict is better with it, or, where it is as good, the error by `WORTH`."""
+        """Whether the verdict is better with it, or, with an equal verdict, the error by
+        `WORTH`."""
         return self.gain >= WORTH if self.is_better is None else self.is_better
 
 
@@ -156,11 +158,11 @@ class Planned:
     chosen
         For each placement the numbers of its poles.
     reach
-        Range that the error was made small at, metres.
+        Range at which the error was minimised, metres.
     predicted, alone
-        What a calibration will state; and what the poles alone give.
+        The error that a calibration will state; and that from the poles alone.
     more
-        What one pole and one placement more would bring, where a plan may have as many.
+        The gain from one pole and one placement more, if a plan may have as many.
     rehearsal
         The calibration with poles put into the recordings.
     """
@@ -207,9 +209,9 @@ def plan(
     length, radius
         Of the poles, metres.
     reach
-        Range at which the error is made small, metres.
+        Range at which the error is minimised, metres.
     need
-        How accurate the answer must be.
+        The required accuracy.
     allowed, forbidden
         Where poles are allowed, and where not.
     progress
@@ -218,31 +220,32 @@ def plan(
     Raises
     ------
     Refusal
-        ``no_ground`` where there is no room for a pole, ``nowhere_seen`` where no two LiDARs see
-        one of them, and ``not_linked`` where they do not constrain every LiDAR.
+        ``no_ground`` if there is no room for a pole, ``nowhere_seen`` if no two LiDARs
+        see one, and ``not_linked`` if the poles do not constrain every LiDAR.
     """
     progress("surfaces")
     surfaces = surfaces_of(stations)
     stations = refined(stations, surfaces)
     progress("ground")
     place = survey(stations, allowed, forbidden)
-    progress("poles that can stand")
+    progress("possible positions of poles")
     widths = divergences_of(stations)
     candidates, seen = candidate_poles(place, stations, widths, length, radius)
     if len(candidates) < poles:
         raise _too_few(stations, place, len(candidates), poles, length, radius)
-    progress("what each would tell")
+    progress("information from each")
     network = network_of(
         stations, candidates, seen, np.arange(len(candidates)), surfaces.bands, quickly=True
     )
     design = design_of(stations, surfaces, candidates, seen, network, reach)
-    progress("the best of them")
+    progress("the best set")
     chosen = choose(design, poles, placements)
     if chosen is None:
         raise Refusal(
             "nowhere_seen",
-            f"{counted(len(candidates), 'pole')} could stand, but no {poles} of them together, "
-            "1 m apart and 15° against each other: ask for fewer, or allow more ground",
+            f"{counted(len(candidates), 'pole')} could be set up, but no {poles} of them "
+            "together, 1 m from each other and at 15° to each other: request fewer, or allow "
+            "more ground",
             {"seen": len(candidates)},
         )
     _check_linked(stations, design, chosen)
@@ -268,7 +271,7 @@ def plan(
     rehearsal = run(chosen)
     _check_poses(rehearsal)
     if rehearsal.status != "ok":
-        # What the surroundings cannot decide, one pole more may.
+        # If the surroundings cannot decide, one pole more may.
         for k, each in enumerate(more):
             progress(f"rehearse with one {each.what} more")
             status = run(each.chosen).status
@@ -297,7 +300,7 @@ def _too_few(
     length: float,
     radius: float,
 ) -> Refusal:
-    """Say that too few poles would be seen, and what would help: thicker poles where all are far.
+    """Report that too few poles would be seen, with advice: thicker poles if all are far.
 
     A pole must be seen by two LiDARs: the second nearest limits.
     """
@@ -305,11 +308,11 @@ def _too_few(
     lidars = np.stack([each.at for each in stations])
     away = float(np.sort(cdist(middle, lidars), axis=1)[:, 1].min())
     reach = FAR * radius
-    advice = "take thicker or longer poles, or turn the LiDARs so that they see the same ground"
+    advice = "use thicker or longer poles, or rotate the LiDARs so that they see the same ground"
     if reach < away < FAR * MAX_RADIUS:
         advice = (
             f"of {2e3 * radius:.0f} mm they are seen up to {reach:.1f} m away, and the nearest "
-            f"such place is {away:.1f} m from one of two LiDARs; take poles of "
+            f"such place is {away:.1f} m from one of two LiDARs; use poles of "
             f"{np.ceil(2e3 * away / FAR):.0f} mm or thicker (--radius is half of that, in metres)"
         )
     return Refusal(
@@ -328,7 +331,7 @@ def design_of(
     network: Network,
     reach: float,
 ) -> Design:
-    """Put together what the choice is made from."""
+    """Compute the quantities from which the poles are chosen."""
     unknowns = replace(network.unknowns, axes=0)
     known = model_of(stations, candidates.radius).sigmas(unknowns.groups())
     alone = np.zeros((unknowns.kept, unknowns.kept))
@@ -351,8 +354,8 @@ def _check_linked(
     if unlinked:
         raise Refusal(
             "not_linked",
-            f"these poles would not link {', '.join(unlinked)} to {stations[0].name}: ask for "
-            "another placement, or allow ground that these LiDARs see together with others",
+            f"these poles would not link {', '.join(unlinked)} to {stations[0].name}: request "
+            "another placement, or allow ground that these LiDARs and others see",
             {"names": ", ".join(unlinked)},
         )
 
@@ -365,7 +368,7 @@ def _check_poses(rehearsal: Rehearsal) -> None:
             raise Refusal(
                 "pose_contradicted",
                 f"with poles put into the recordings, {said}: correct the rough poses, they must "
-                "be good to 10° and 1 m",
+                "be accurate to 10° and 1 m",
                 reason.values,
             )
 

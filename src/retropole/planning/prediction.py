@@ -54,7 +54,7 @@ def divergences_of(stations: Sequence[Station]) -> list[float]:
 
 
 def seen_by(station: Station, pole: Cylinder, divergence: float) -> tuple[Pole, PointCloud]:
-    """Give what a LiDAR would record of a pole that is in the frame of the scene.
+    """Give the beams that a LiDAR would record of a pole in the frame of the scene.
 
     The returns on it, in the frame of the LiDAR, and the cloud around them.
     """
@@ -227,7 +227,7 @@ def refined(stations: Sequence[Station], surfaces: Surfaces) -> list[Station]:
 def problem_of(
     factor: PoleFactor, stations: Sequence[Station], surfaces: Surfaces, radius: float = 0.02
 ) -> RefinementProblem:
-    """Put poles and surfaces together, as a calibration does."""
+    """Combine poles and surfaces, as in a calibration."""
     factor = factor.with_bands(surfaces.bands)
     groups = factor.unknowns.groups()
     return RefinementProblem(

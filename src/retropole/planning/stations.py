@@ -1,4 +1,4 @@
-"""Where the LiDARs are in the surroundings: rough poses, refined by what all recorded."""
+"""Poses of the LiDARs in the surroundings: rough poses, refined by all recordings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ..surfaces.visibility import SCORING_VOXEL, tree_of
 from .place import Station
 
 ROUGH = se3.PoseDifference(float(np.radians(15.0)), 1.5)
-"""A rough pose is good to 10° and 1 m; what converges farther away than this is another."""
+"""A rough pose is accurate to 10° and 1 m; a result farther away than this is another pose."""
 
 MOVERS = 30
 """This many voxels of the scene may conflict with a right pose, since people walk and plants
@@ -35,19 +35,19 @@ move between the recordings: at most 17 on bare ground (benchmarks/plan.py, seed
 
 
 FEW = 0.1
-"""Part of what agrees that may conflict with a clear pose. Of three LiDARs on a crane the nearest
-converged one 1.1 m off where 26 for 114 did, the next to 2 cm with none."""
+"""Largest ratio of conflicting to agreeing parts for a clear pose. Of three LiDARs on a crane the
+nearest converged 1.1 m off with 26 conflicting for 114 agreeing, the next to 2 cm with none."""
 
 
 UPWARD = 0.1
 """Level part of an x axis, of length 1, below which it points up or down: z is ahead then."""
 
 LEAST_RETURNS = 200
-"""A LiDAR with fewer returns of drawn ground sees none of it: no normal comes from them."""
+"""A LiDAR with fewer returns of the modelled ground does not see it: they give no normal."""
 
 
 def bare_scan(cloud: PointCloud, sensor: Sensor | None) -> Scan:
-    """Take a recording without poles as a calibration takes one: without what moved."""
+    """Prepare a recording without poles as in a calibration: without moving objects."""
     scan = find_poles(cloud, sensor=sensor, threshold=None, radius=DEFAULT_RADIUS, search=False)
     if scan.refusal is not None:
         raise scan.refusal
@@ -73,8 +73,8 @@ def place_lidars(
     """
     poses, is_refined = [np.eye(4)], [True]
     for i in range(1, len(scans)):
-        others = sorted(range(i), key=lambda j: _apart(rough[j], rough[i]))
-        # The nearest of those placed already shares most with it.
+        others = sorted(range(i), key=lambda j: _distance(rough[j], rough[i]))
+        # The nearest of those placed already has most in common with it.
         found, conflicts = Refined(rough[i]), []
         for j in others:
             T = se3.inverse(poses[j]) @ rough[i]
@@ -87,7 +87,7 @@ def place_lidars(
                 found = refined._replace(T=poses[j] @ refined.T)
             if refined.is_clear:
                 break
-        # Where another determines it, one that sees little of the same is no witness.
+        # If another determines it, one with little in common is not used.
         if conflicts and not found.by_place:
             raise conflicts[0]
         is_refined.append(found.by_place)
@@ -117,7 +117,7 @@ def place_drawn_lidars(
     Raises
     ------
     Refusal
-        ``no_ground`` where a LiDAR would record hardly anything of them.
+        ``no_ground`` if a LiDAR would record hardly any returns of them.
     """
     surfaces: list[Surface] = [ground(ASPHALT), *boxes]
     scans = []
@@ -128,9 +128,9 @@ def place_drawn_lidars(
         if len(recorded.cloud) < LEAST_RETURNS or T[2, 3] <= 0:
             raise Refusal(
                 "no_ground",
-                f"{name}, {T[2, 3]:g} m above the ground, would have {len(recorded.cloud)} returns "
-                f"in all, {LEAST_RETURNS} are needed: set it up above the ground (z > 0) and turn "
-                "it so that it sees the ground",
+                f"{name}, {T[2, 3]:g} m above the ground, would have {len(recorded.cloud)} "
+                f"returns in all, {LEAST_RETURNS} are needed: set it up above the ground (z > 0) "
+                "and rotate it so that it sees the ground",
                 {"lidar": name, "height_m": float(T[2, 3]), "returns": len(recorded.cloud)},
             )
         scans.append(bare_scan(recorded.cloud, sensor))
@@ -152,7 +152,7 @@ def station(name: str, scan: Scan, T: Array) -> Station:
     return Station(name, cloud, scan.sensor, beams, T @ shift, scan.cloud.origin)
 
 
-def _apart(a: Array, b: Array) -> float:
+def _distance(a: Array, b: Array) -> float:
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3]))
 
 
@@ -177,29 +177,29 @@ class Refined(NamedTuple):
 
     @property
     def by_place(self) -> bool:
-        """Whether the surroundings gave it."""
+        """Whether the pose is from the surroundings."""
         return self.agreeing > 0
 
     @property
     def lead(self) -> int:
-        """How many more agree than conflict."""
+        """Number of agreeing parts minus conflicting ones."""
         return self.agreeing - self.contradicting
 
     @property
     def is_clear(self) -> bool:
-        """Whether so little conflicts that no other LiDAR need be used."""
+        """Whether the conflicts are so few that no other LiDAR need be used."""
         return self.by_place and self.contradicting <= FEW * self.agreeing
 
 
 def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) -> Refined:
-    """Refine a rough pose (4, 4), target from source, on what both recorded.
+    """Refine a rough pose (4, 4), target from source, by both recordings.
 
-    If they share too little, the ground is aligned with the ground.
+    If they have too little in common, the ground is aligned with the ground.
 
     Raises
     ------
     Refusal
-        ``pose_contradicted`` where the ground, or what is on it, conflicts with the pose.
+        ``pose_contradicted`` if the ground, or objects on it, conflict with the pose.
     """
     grounds = grounds_of(Placement(target, source), np.random.default_rng(0))
     check_grounds(first, second, grounds[0][0], grounds[1][0], rough)
@@ -223,9 +223,9 @@ def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
             )
         raise Refusal(
             "pose_contradicted",
-            f"under the rough pose of {second} {counts.contradicting} parts of the scene stand "
-            f"where the other LiDAR looked through, {counts.agreeing} agree with {first}{other}: "
-            "correct the pose, it must be good to 10° and 1 m",
+            f"under the rough pose of {second} {counts.contradicting} parts of the scene are in "
+            f"space that the other LiDAR saw to be empty, {counts.agreeing} agree with "
+            f"{first}{other}: correct the pose, it must be accurate to 10° and 1 m",
             {"agreeing": counts.agreeing, "contradicting": counts.contradicting},
         )
     surface = prepare(target.cloud.xyz, SCORING_VOXEL)
@@ -235,7 +235,7 @@ def refine(first: str, second: str, target: Scan, source: Scan, rough: Array) ->
         by_place = _counted(grounds, refined)
         if by_place.agreeing > MOVERS:
             return by_place
-    # On bare ground a registration goes where it likes.
+    # On bare ground a registration is not constrained.
     return Refined(T)
 
 
@@ -251,7 +251,8 @@ def _upwards(one: SceneObjects) -> tuple[Array, float]:
 
 
 def _ground_on_ground(target: SceneObjects, source: SceneObjects, rough: Array) -> Array:
-    """Turn and lift a rough pose (4, 4) until the source's ground lies on the target's."""
+    """Rotate and lift a rough pose (4, 4) so that the source's ground coincides with the
+    target's."""
     up, _ = _upwards(target)
     own = rough[:3, :3] @ _upwards(source)[0]
     axis = np.cross(own, up)
@@ -271,7 +272,7 @@ def _is_near(T: Array, rough: Array) -> bool:
 def check_grounds(
     first: str, second: str, target: SceneObjects, source: SceneObjects, rough: Array
 ) -> None:
-    """Refuse a rough pose under which one LiDAR's ground is no ground for the other.
+    """Refuse a rough pose under which the grounds of the two LiDARs do not coincide.
 
     Raises
     ------
@@ -284,7 +285,8 @@ def check_grounds(
         upside = "; is one LiDAR mounted upside down?" if tilt > np.radians(150) else ""
         raise Refusal(
             "pose_contradicted",
-            f"under the rough pose the ground below {second} is tilted by {np.degrees(tilt):.0f}° "
-            f"against that below {first}{upside}: correct the pose, it must be good to 10° and 1 m",
+            f"under the rough pose the ground below {second} is tilted by "
+            f"{np.degrees(tilt):.0f}° against that below {first}{upside}: correct the pose, it "
+            "must be accurate to 10° and 1 m",
             {"tilt_rad": tilt},
         )

@@ -75,7 +75,7 @@ def error_curve(subject: Subject) -> ErrorCurve | None:
 
 
 def curve_sentence(curve: ErrorCurve | None) -> str:
-    """Say how far off a point is, in one sentence; empty if no probability can be given."""
+    """State the error of a point, in one sentence; empty if no probability can be given."""
     if curve is None or curve.bounds is None:
         return ""
     of = "" if curve.whose == f"the {LIDARS[1]}" else f"of {curve.whose}, the least certain LiDAR, "
@@ -131,7 +131,7 @@ def _need(chart: Chart, need: Need) -> Html:
 
 
 def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
-    """Say what the picture shows, also for those who do not see it."""
+    """Describe the picture, also for those who do not see it."""
     far = f"{BUDGET_RANGE:g} m"
     text = [f"Predicted error of a point of {curve.whose} by its distance from that LiDAR."]
     text.append(f"1 σ, the mean over all directions: {curve.at_range(curve.sigmas)} at {far}.")
@@ -141,7 +141,7 @@ def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
     else:
         text.append(
             f"No 95 % line: the pose itself is wrong with a probability of {curve.wrong:.0%}, "
-            "which 1 σ does not count.".replace("%,", " %,")
+            "which 1 σ does not include.".replace("%,", " %,")
         )
     if curve.need is not None:
         outside = "" if is_drawn else ", far above this picture"

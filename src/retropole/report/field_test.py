@@ -23,8 +23,8 @@ site."""
 VERDICTS: dict[Verdict, tuple[str, str, str]] = {
     "pass": ("ok", "✓", "Pass: the LiDARs measure as stated"),
     "partial": ("warn", "!", "Partial: some LiDARs could not be tested"),
-    "fail": ("refused", "✕", "Fail: distances differ by more than is stated of the LiDARs"),
-    "refused": ("refused", "✕", "Refused: too little to tell"),
+    "fail": ("refused", "✕", "Fail: distances differ by more than the LiDARs' data sheets state"),
+    "refused": ("refused", "✕", "Refused: too few data"),
 }
 """Style, symbol and title of each verdict."""
 
@@ -40,7 +40,7 @@ def describe_field_test(document: FieldTestDoc) -> str:
         lines += [f"  {_tested(document)}", *wrapped(f"  {_untested(document)}".rstrip(), "    ")]
         lines.append(text_table(listing.header, listing.rows[:LISTED]))
         if len(listing.rows) > LISTED:
-            lines.append(f"  {counted(len(listing.rows) - LISTED, 'more pair')}; --json has all")
+            lines.append(f"  {counted(len(listing.rows) - LISTED, 'more pair')}; --json lists all")
         return "\n".join(lines)
     (pair,) = document.pairs
     lines += [line for reason in pair.reasons for line in reason_lines(reason)]
@@ -50,7 +50,7 @@ def describe_field_test(document: FieldTestDoc) -> str:
         lines.append(text_table(listing.header, listing.rows))
         if len(pair.distances) > LISTED:
             rest = counted(len(pair.distances) - LISTED, "more distance")
-            lines.append(f"  {rest}, farther from their limits; --json has all")
+            lines.append(f"  {rest}, farther from their limits; --json lists all")
     text = [f"  {sentence}" for sentence in sentences(pair, document.alpha)]
     if document.status != "refused" and (pair.target, pair.source) == LIDARS:
         text.append(_unnamed(document))
@@ -58,14 +58,14 @@ def describe_field_test(document: FieldTestDoc) -> str:
 
 
 def _unnamed(document: FieldTestDoc) -> str:
-    """Say whose sensor is not named; empty if both are."""
+    """Report whose sensor is not given; empty if both are."""
     inputs = zip(LIDARS, document.inputs, strict=False)
     auto = [lidar for lidar, given in inputs if given.sensor == "auto"]
     if not auto:
         return ""
     return (
-        f"  the sensor of the {' and of the '.join(auto)} is not named: cautious sizes of its "
-        "errors are assumed, which little exceeds"
+        f"  the sensor of the {' and of the '.join(auto)} is not given: large errors are assumed "
+        "for it, which few LiDARs exceed"
     )
 
 
@@ -100,7 +100,7 @@ def _pairs(document: FieldTestDoc) -> Listing:
         for pair in _in_order(document)
     ]
     header = columns("LiDARs; verdict; distances; largest / limit")
-    return Listing("Pairs, what failed first", header, rows, (1,))
+    return Listing("Pairs, those that failed first", header, rows, (1,))
 
 
 def _distances(pair: PairTestDoc, distances: Sequence[DistanceTest]) -> Listing:
@@ -126,7 +126,7 @@ def _in_order(document: FieldTestDoc) -> list[PairTestDoc]:
 
 
 def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
-    """Say what was tested, and what it means."""
+    """Describe the test, and its meaning."""
     if not pair.distances:
         return []
     out = [each for each in pair.distances if not each.passed]
@@ -136,11 +136,11 @@ def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
         else f"all {len(pair.distances)} differences within their limits"
     )
     words = [
-        f"{found}; LiDARs that measure as stated of them keep all limits with a probability of "
+        f"{found}; LiDARs that measure as specified keep all limits with a probability of "
         f"at least {percent(1 - alpha)} (z = {pair.z or 0.0:.2f} for each)"
     ]
     if pair.variances is None:
-        words.append("variances were not compared: that takes 3 sweeps or more of each LiDAR")
+        words.append("variances were not compared: 3 sweeps or more of each LiDAR are needed")
     else:
         words.append(_variances(pair.variances))
     alone = sum(
@@ -151,7 +151,7 @@ def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
     if pair.status == "fail":
         words.append(
             "what to do: record again; if it fails again, a pole moved between the recordings, or "
-            "one of the LiDARs measures worse than is stated of it"
+            "one of the LiDARs measures worse than specified"
         )
     return words
 

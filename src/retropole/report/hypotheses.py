@@ -44,7 +44,7 @@ def undecided(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
 
 
 def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
-    """Say how the source is posed under a hypothesis, as against the first of all."""
+    """Describe the pose of the source under a hypothesis, relative to the first of all."""
     T = hypothesis.T_target_source
     first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
@@ -92,7 +92,7 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
         yield f"`--prior-rpy-deg R P Y`{instead}, {known}, leaves one"
     if config.hypothesis is None:
         names = " | ".join(name for name, _ in named)
-        yield f"`--hypothesis {names}` takes the one that you know is right, with a warning"
+        yield f"`--hypothesis {names}` selects the one that you know is right, with a warning"
 
 
 def _least_turn(poses: Sequence[Array]) -> float:
@@ -123,7 +123,7 @@ def describe_undecided(result: ResultDoc) -> list[str]:
         mark = " *" if each.chosen else "  "
         lines.append(f"  {name}{mark} {'  '.join(cells[:3])}    {'  '.join(cells[3:])}")
         if each is not result.hypotheses[0]:
-            lines.append(f"       as against a: {relative_words(result, each)}")
+            lines.append(f"       versus a: {relative_words(result, each)}")
     lines += [f"  {plain(words)}" for words in deciding(result, named)]
     return lines
 
@@ -169,7 +169,7 @@ TRIED = {
 
 
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
-    """Say what a refusal left out to bound the time; empty if it tried all."""
+    """State what a refusal left out to bound the time; empty if it tried all."""
     text = [
         words.format(reason.values[tried], reason.values[found])
         for reason in reasons
@@ -192,7 +192,7 @@ def _undecided(result: ResultDoc) -> Html:
         )
         for name, each in named
     ]
-    names = "hypothesis; roll, deg; pitch, deg; yaw, deg; x, m; y, m; z, m; as against a"
+    names = "hypothesis; roll, deg; pitch, deg; yaw, deg; x, m; y, m; z, m; versus a"
     items = fill_each("li", map(inline, deciding(result, named)))
     return fill(
         "standing",

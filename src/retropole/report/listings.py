@@ -98,7 +98,8 @@ def rejected(subject: Subject, k: int) -> Listing:
 
 
 def _recorded(subject: Subject, k: int) -> Iterator[tuple[list[str], FoundDoc]]:
-    """Give what was found in each recording of a LiDAR, with its placement where of several."""
+    """Give the poles and clusters found in each recording of a LiDAR, with its placement if there
+    are several."""
     placements = subject.placements
     for place, each in zip(placements, subject.site.found[k], strict=True):
         if each is not None:
@@ -224,8 +225,8 @@ def pair_words(pair: PairDoc, refused: bool) -> str:
         return "decides by itself"
     if pair.standing > 1:
         ways = counted(pair.standing, "way")
-        return f"leaves {ways}" if refused else f"leaves {ways}, others decide"
-    return "no answer of its own" if refused else "linked through others"
+        return f"leaves {ways}" if refused else f"leaves {ways}, decided by others"
+    return "no separate answer" if refused else "linked through others"
 
 
 def loops(site: SiteDoc) -> Listing:
@@ -273,7 +274,7 @@ def _is_large(w: float | None, allowed: float | None) -> bool:
 
 
 def changes(subject: Subject) -> Listing:
-    """Say how the poses change without each placement."""
+    """List the changes of the poses without each placement."""
     site, pair = subject.site, subject.pair
     rows = [
         [
@@ -297,7 +298,7 @@ def _both(pair: ResultDoc, placement: int) -> str:
 
 
 def left_out_words(document: InputDoc) -> str:
-    """Say how many points and frames of too many were left out; nothing if none were."""
+    """State how many points and frames of too many were left out; nothing if none were."""
     parts = [
         counted(count, what)
         for count, what in ((document.thinned, "point"), (document.frames_left_out, "frame"))
@@ -363,7 +364,7 @@ def largest_error(stated: Stated) -> str | None:
 
 
 def radius_words(result: ResultDoc) -> str | None:
-    """Say the radius as given and as estimated; None if it was not estimated."""
+    """State the radius as given and as estimated; None if it was not estimated."""
     radius = result.radius
     if radius is None:
         return None
@@ -372,7 +373,7 @@ def radius_words(result: ResultDoc) -> str | None:
 
 
 def clock_words(subject: Subject, lidar: int) -> str:
-    """Say how the clock of a LiDAR before which a pole was carried differs from the reference's."""
+    """State the difference of the clock of a LiDAR from the reference's, for a carried pole."""
     assert subject.site.walk is not None
     own, names = subject.site.walk.lidars[lidar], walk_names(subject)
     shift = f"{'+' if own.clock_offset_s >= 0 else '−'} {abs(own.clock_offset_s):.6f} s"
@@ -386,7 +387,7 @@ def walk_names(subject: Subject) -> Sequence[str]:
 
 
 def carried_words(found: SiteWalk) -> str:
-    """Say how the pole was carried."""
+    """Describe how the pole was carried."""
     return (
         f"{found.seconds:.0f} s, {found.along_m:.1f} m to either side along and "
         f"{found.across_m:.1f} m across, leaning by {DEGREES * found.lean_rad:.0f}° (all rms)"
@@ -394,12 +395,12 @@ def carried_words(found: SiteWalk) -> str:
 
 
 def scene_words(result: ResultDoc) -> str | None:
-    """Say how many patches agree or contradict the pose; None if the scene was not used."""
+    """State how many patches agree or contradict the pose; None if the scene was not used."""
     return None if result.confirmation is None else result.confirmation.words
 
 
 def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
-    """Say how certain an answer is and what checked it, a sentence each.
+    """State how certain an answer is and how it was checked, a sentence each.
 
     Parameters
     ----------
@@ -448,7 +449,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
 
 
 def clocks(subject: Subject) -> Iterator[str]:
-    """Say which clocks of LiDARs differ, as far as recordings have them.
+    """Report clocks of LiDARs that differ, as far as recordings have them.
 
     Those of two LiDARs are compared in one recording alone: two recorders may differ themselves.
     """
@@ -470,7 +471,7 @@ def clocks(subject: Subject) -> Iterator[str]:
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
-    """Say what only a pair states: its weakest direction, the radius, what the scene shows."""
+    """State what only a pair has: its weakest direction, the radius, the scene check."""
     if pair.weakest is not None:
         yield f"weakest direction, 1 sigma: {pair.weakest.words}"
     radius, scene = radius_words(pair), scene_words(pair)
@@ -481,7 +482,7 @@ def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
 
 
 def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
-    """Say what pairs, loops and tests showed, or which LiDARs no observation links."""
+    """State the results of pairs, loops and tests, or which LiDARs no observation links."""
     if len(site.groups) > 1:
         groups = (", ".join(site.lidars[k].name for k in group) for group in site.groups)
         yield f"not linked with each other: {' | '.join(groups)}"
@@ -490,7 +491,7 @@ def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
 
 
 def checks_of_site(site: SiteDoc) -> Iterator[str]:
-    """Say what pairs, loops and consistency checks of an answer showed."""
+    """State the results of pairs, loops and consistency checks of an answer."""
     possible = [min(pair.standing, 2) for pair in site.pairs]
     counts = (
         (possible.count(1), "unambiguous"),
@@ -507,20 +508,20 @@ def checks_of_site(site: SiteDoc) -> Iterator[str]:
         by_chance = f"by chance: {probability(worst.probability)}"
         yield f"{which} {around(site, worst)}: misses by {misses} ({by_chance})"
     elif len(site.lidars) > 2:
-        yield "no closed loop: no third LiDAR checks a pair"
+        yield "no closed loop: there is no third LiDAR to check a pair"
     yield from _checks(site)
 
 
 def _checks(site: SiteDoc) -> Iterator[str]:
-    """Say what the consistency checks of an answer showed."""
+    """State the results of the consistency checks of an answer."""
     tests = ranked_tests(site)
     if not tests:
-        yield "no consistency checks: nothing verifies these poses"
+        yield "no consistency checks: there is no verification of these poses"
         return
     high = [each for each in tests if _is_large(each.w, each.allowed)]
     checks = counted(len(tests), "consistency check")
     named = [
-        f"{each.name} (w {abs(each.w or 0.0):.1f}, {each.allowed or 0.0:.2g} is the most to expect)"
+        f"{each.name} (w {abs(each.w or 0.0):.1f}, {each.allowed or 0.0:.2g} expected at most)"
         for each in (high or tests)[:NAMED]
     ]
     if high:
@@ -530,7 +531,7 @@ def _checks(site: SiteDoc) -> Iterator[str]:
         yield f"{checks}, none suspicious; the largest: {named[0]}"
     blind = unchecked(site)
     if blind:
-        yield f"{counted(blind, 'observation')} without a check: an error there would not show"
+        yield f"{counted(blind, 'observation')} without a check: errors there stay undetected"
 
 
 def fitness_words(subject: Subject) -> str:

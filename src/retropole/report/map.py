@@ -150,7 +150,7 @@ def _direction(plan: Plan) -> Html:
 
 
 def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
-    """Say what the picture shows, also for those who do not see it."""
+    """Describe the picture, also for those who do not see it."""
     text = [f"Seen from above; up is {plan.words}."]
     if plan.north:
         text.append(f"{plan.north.capitalize()} is at the top.")
@@ -161,7 +161,10 @@ def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
         text.append(f"Ellipses: 1 σ of the position of each LiDAR, enlarged {large(factor)} times.")
         text += [f"{name} has none: its frame is the site's." for name in fixed[:1]]
     if site.poles:
-        text.append("Rings: poles, 2.1 being the first of placement 2, with the way each leans.")
+        text.append(
+            "Rings: poles, 2.1 being the first of placement 2, with the direction in which each "
+            "leans."
+        )
     if site.control_points:
         text.append("Triangles: control points.")
     return " ".join(text)

@@ -44,7 +44,7 @@ EMPTY = Html("")
 
 
 def join(parts: Iterable[Html]) -> Html:
-    """Put markup one behind the other."""
+    """Concatenate markup."""
     return Html("".join(parts))
 
 

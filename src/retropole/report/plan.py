@@ -39,12 +39,14 @@ def plan_of(document: SiteDoc) -> Plan:
     for lidar in document.lidars:
         if lidar.up is not None and lidar.T_site_lidar is not None:
             up = np.array(lidar.T_site_lidar)[:3, :3] @ lidar.up.direction
-            return Plan(turning(up), f"what the inertial sensor of {lidar.name} says", None)
+            return Plan(
+                turning(up), f"the direction from the inertial sensor of {lidar.name}", None
+            )
     if document.walk is not None:
-        return Plan(turning(document.walk.up), "the way the pole points on average", None)
+        return Plan(turning(document.walk.up), "the mean direction of the pole", None)
     if not document.poles:
         return Plan(np.eye(3), "the z axis of the site's frame", None)
-    return Plan(turning(_along_poles(document)), "the way the poles stand on average", None)
+    return Plan(turning(_along_poles(document)), "the mean direction of the poles", None)
 
 
 def _along_poles(document: SiteDoc) -> Array:

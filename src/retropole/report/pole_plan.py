@@ -65,8 +65,8 @@ def render_pole_plan(document: PolePlanDoc, picture: PlanPicture) -> str:
         made += f" in {len(document.placements)} placements"
     links = join(fill("a", to=f"#{name}", text=Html(text)) for name, text in HEADING.findall(parts))
     places: dict[str, object] = {
-        "title": "Where to stand the poles",
-        "heading": "Where to stand the poles",
+        "title": "Where to set up the poles",
+        "heading": "Where to set up the poles",
         "brand": "plan of poles",
         "created": f"{document.created} · {made}",
         "status": _kind(document),
@@ -118,12 +118,12 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
     ]
     text = (
         f"Seen from above; up is ahead of {document.lidars[0].name}, along its x axis. Arrows: x "
-        "axes of the LiDARs. Letters: feet of the poles, with the way each leans."
+        "axes of the LiDARs. Letters: feet of the poles, with the direction in which each leans."
     )
     if len(document.placements) == 1:
         text += " Lines: lengths to measure."
     if sum(map(len, picture.points)):
-        text += " Grey: what was recorded, darker where it is higher than 0.3\u00a0m."
+        text += " Grey: recorded points, darker above 0.3\u00a0m."
     return fill(
         "plan-section",
         width=f"{WIDTH:g}",
@@ -190,7 +190,7 @@ def _errors(document: PolePlanDoc) -> Html:
     header = columns("distance; 1 σ; 95 % are below; 1 σ by the poles alone")
     header = ["LiDAR", *header] if several else header
     of = "" if several else f" of {document.predicted[0].lidar}"
-    return fill("plan-errors", table=listed(Listing(f"Error to expect{of}", header, rows, ())))
+    return fill("plan-errors", table=listed(Listing(f"Expected error{of}", header, rows, ())))
 
 
 def _error_rows(predicted: PredictedDoc, several: bool) -> Iterator[tuple[str, ...]]:
@@ -207,7 +207,7 @@ def _error_rows(predicted: PredictedDoc, several: bool) -> Iterator[tuple[str, .
 
 
 def _limits(document: PolePlanDoc) -> Html:
-    """Say what limits the error, and what more poles or placements would bring."""
+    """State what limits the error, and the gain from more poles or placements."""
     worst = document.predicted[stated(document).index(max(stated(document)))]
     entries = sorted(worst.budget, key=lambda each: -each.share_at_30m)[:LISTED_SOURCES]
     tables = []
@@ -215,7 +215,7 @@ def _limits(document: PolePlanDoc) -> Html:
         whose = f" of {worst.lidar}" if len(document.predicted) > 1 else ""
         tables.append(
             table(
-                f"What most of the error{whose} is made of",
+                f"Main sources of the error{whose}",
                 columns("source of error; share of the variance at 30 m"),
                 [(source_words(e.name, e.sensor), percent(e.share_at_30m)) for e in entries],
                 bars=[("", each.share_at_30m) for each in entries],
@@ -225,7 +225,7 @@ def _limits(document: PolePlanDoc) -> Html:
         at = f"{document.range_m:g} m"
         tables.append(
             table(
-                "What more would bring",
+                "Gain from more poles or placements",
                 ("", f"1 σ at {at}", "by the poles alone", "takes away", "worth it"),
                 [
                     (
@@ -267,7 +267,7 @@ def _card(document: PolePlanDoc, picture: PlanPicture, view: View, p: int) -> Ht
     return fill(
         "plan-card",
         id=f"card-{p + 1}",
-        title="Where to stand the poles" + (f": placement {p + 1}" if several else ""),
+        title="Where to set up the poles" + (f": placement {p + 1}" if several else ""),
         size=size,
         created=document.created.partition("T")[0],
         wide=millimetres * WIDTH,

@@ -205,7 +205,7 @@ def _copies(subject: Subject, k: int) -> Html:
 
 
 def certainty(subject: Subject) -> Html:
-    """Say how certain an answer is, in sentences first; of a pair its figures follow."""
+    """State how certain an answer is, in sentences first; for a pair its figures follow."""
     if not subject.answered:
         return EMPTY
     return fill(
@@ -258,7 +258,7 @@ def covariances(lidar: LidarDoc, parts: Uncertainty | None) -> dict[str, Array]:
 
 
 def _weakest(pair: ResultDoc) -> Html:
-    """Say in which direction the pose is least certain."""
+    """Describe the direction in which the pose is least certain."""
     weakest = pair.weakest
     if weakest is None:
         return EMPTY
@@ -268,7 +268,7 @@ def _weakest(pair: ResultDoc) -> Html:
 
 
 def ranges(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Listing:
-    """Say where a point lands, by its range."""
+    """State the error of a point, by its range."""
     stated = lidar.predicted_error or []
     ranges_by_error = [
         [error(each.random), error(each.systematic)] for each in error_parts(stated, parts)
@@ -282,7 +282,7 @@ def ranges(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Listing:
 
 
 def states(kinds: dict[str, Array], caption: str) -> Listing:
-    """Say how certain each rotation and translation is, in all and of each kind."""
+    """State the uncertainty of each rotation and translation, in total and of each kind."""
     sigmas = [np.sqrt(np.maximum(np.diag(matrix), 0.0)) for matrix in kinds.values()]
     rows = [
         [state, *(error(float(s), unit) for s in row)]
@@ -409,7 +409,7 @@ def _given(text: str) -> str:
 
 
 def _facts(subject: Subject, place: str) -> Html:
-    """Say where, when, how well and with what."""
+    """State the place, time, accuracy and equipment."""
     site, pair = subject.site, subject.pair
     warned = ", ".join(reason.code for reason in site.reasons)
     title = VERDICTS.get(site.status, ("", site.status))[1]
@@ -431,7 +431,7 @@ def _facts(subject: Subject, place: str) -> Html:
 
 
 def _poles(pair: ResultDoc) -> str:
-    """Say how many poles were used, and of which radius."""
+    """State the number of poles used, and their radius."""
     placements, radius = len(pair.inputs) // 2, radius_words(pair)
     pairs = 0 if pair.chosen is None else len(pair.chosen.pairs)
     words = (

@@ -292,7 +292,8 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
 
 
 def missing_poles(subject: Subject) -> Html:
-    """Say of each LiDAR of a refused pair that sees too few poles what it sees, and what lacks."""
+    """For each LiDAR of a refused pair that sees too few poles: state what it sees, and what is
+    missing."""
     pair = subject.pair
     if pair is None or pair.status != "refused":
         return EMPTY
@@ -323,11 +324,11 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     rejected = list(enumerate(scan.detection.rejected))
     threshold = f"{scan.detection.threshold:g}"
     unseen = (
-        f"its returns are below the threshold of {threshold}, or something hides it, or it stands "
-        "outside of the field of view."
+        f"its returns are below the threshold of {threshold}, or something hides it, or it "
+        "is outside the field of view."
     )
     if not rejected:
-        yield f"Nothing else is as bright as tape. If the pole is there, {unseen}"
+        yield f"Nothing else is as bright as tape. If the pole is present, {unseen}"
         return
     distances = _distances(other.poles)
     if not scan.poles or not distances:
@@ -339,7 +340,7 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
             yield f"{counted(len(rejected) - NAMED, 'more bright cluster')}, listed under Poles."
         return
     near = sorted(
-        (abs(_beside(pole, cluster.centre) - distance), k, n)
+        (abs(_distance_to_axis(pole, cluster.centre) - distance), k, n)
         for k, cluster in rejected
         for n, pole in enumerate(scan.poles)
         for distance in distances
@@ -347,29 +348,29 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        place = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m from"
+        place = f"{_distance_to_axis(scan.poles[n], clusters[k].centre):.1f} m from"
         name = pole_name(LIDARS[lidar], n)
         yield _candidate(lidar, k, clusters[k], scan, f", {place} {name}")
     listed = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
     there = f"The other LiDAR sees poles {listed} m from each other"
     if fitting:
-        yield f"{there}: what is named here fits that."
+        yield f"{there}: the clusters named here fit that."
     else:
         yield (
             f"{there}. None of the {len(rejected)} rejected clusters fits that. If the pole is "
-            f"there, {unseen}"
+            f"present, {unseen}"
         )
 
 
-def _candidate(lidar: int, k: int, cluster: RejectedCluster, scan: Scan, beside: str = "") -> Html:
-    """Say of a rejected cluster where it is, and what it lacks of a pole."""
+def _candidate(lidar: int, k: int, cluster: RejectedCluster, scan: Scan, near: str = "") -> Html:
+    """Describe the position of a rejected cluster, and what it lacks to be a pole."""
     away = cluster.centre - scan.cloud.origin
-    name = f"Cluster {rejected_mark(lidar, k)}, {_place(away)}{beside}"
+    name = f"Cluster {rejected_mark(lidar, k)}, {_place(away)}{near}"
     return fill("candidate", name=name, lacks=_lacks(cluster, scan, float(np.linalg.norm(away))))
 
 
 def _lacks(cluster: RejectedCluster, scan: Scan, distance: float) -> str:
-    """Say how much is missing, in numbers where there are; else the reason and its advice."""
+    """State how much is missing, in numbers if there are any; else the reason and its advice."""
     returns, ring = len(cluster.index), scan.cloud.ring
     if cluster.code == "too_few_points" and returns < MIN_POLE_POINTS:
         count = f"{counted(returns, 'return')}, {MIN_POLE_POINTS} are needed"
@@ -384,29 +385,29 @@ def _lacks(cluster: RejectedCluster, scan: Scan, distance: float) -> str:
 
 
 def _nearer(distance: float, share: float) -> str:
-    """Say how much nearer a pole has as many returns, or rings, as are needed.
+    """State how much nearer a pole has the required number of returns, or rings.
 
     Rings on a pole are as the inverse of its distance, and returns on each ring grow towards the
     LiDAR, too: this much nearer there are enough, on average at least.
     """
     enough = share * distance
     if enough < NEAREST:
-        return "if it is your pole, stand it much nearer."
-    return f"if it is your pole, stand it {math.ceil(10 * (distance - enough)) / 10:.1f} m nearer."
+        return "if it is your pole, place it much nearer."
+    return f"if it is your pole, place it {math.ceil(10 * (distance - enough)) / 10:.1f} m nearer."
 
 
 def _place(away: Array) -> str:
-    """Say where something is as the LiDAR sees it: how far away, and at which azimuth."""
+    """Describe a position as seen by the LiDAR: its distance and azimuth."""
     azimuth = math.degrees(math.atan2(away[1], away[0]))
     return f"{float(np.linalg.norm(away)):.1f} m away at azimuth {azimuth:.0f}°"
 
 
 def _distances(poles: Sequence[Pole]) -> list[float]:
     """How far each pole's centre is from the line of each other, metres, without repetition."""
-    found = sorted(_beside(a, b.point) for a, b in permutations(poles, 2))
+    found = sorted(_distance_to_axis(a, b.point) for a, b in permutations(poles, 2))
     return [d for k, d in enumerate(found) if k == 0 or d - found[k - 1] > 0.05]
 
 
-def _beside(pole: Pole, point: Array) -> float:
+def _distance_to_axis(pole: Pole, point: Array) -> float:
     """Distance of a point from the line of a pole, metres."""
     return float(np.linalg.norm(np.cross(point - pole.point, pole.direction)))

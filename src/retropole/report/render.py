@@ -1,4 +1,4 @@
-"""Put a result and its clouds into one HTML file that needs no network: of a pair, or of a site."""
+"""Write a result and its clouds to one HTML file that needs no network: of a pair, or of a site."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from ..base.quantities import counted
 from ..result import ResultDoc
 from ..result.site import LIDARS, SiteDoc, found_document, input_names
 from . import listings
-from .apart import apart
 from .curves import curve_sentence, error_curve, sways
 from .hypotheses import hypotheses
 from .listings import (
@@ -28,6 +27,7 @@ from .plan import plan_of
 from .poses import certainty, certificate, poses, transform
 from .recorded import missing_poles, poles, run
 from .subject import Recorded, as_subject, colour_class
+from .surface_distances import distances_of_surfaces
 from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view, recordings_view
 from .walk import walk
@@ -106,7 +106,7 @@ def render_report(
         walk(subject),
         hypotheses(subject.pair),
         certainty(subject),
-        apart(subject),
+        distances_of_surfaces(subject),
         sways(subject),
         # What was found comes first where it is all there is.
         found if refused else EMPTY,
@@ -163,7 +163,7 @@ def render_recordings(
 
 
 def _recorded(k: int, name: str, scan: Scan, text: str) -> Iterator[Html]:
-    """Say of a recording what was found in it."""
+    """Describe what was found in a recording."""
     detection, found = scan.detection, found_document(scan)
     if scan.refusal is not None:
         yield fill("alert", value=f"{scan.refusal.code}: {scan.refusal.message}.")

@@ -94,7 +94,7 @@ def as_subject(
     recorded: Recorded = (),
     serials: Mapping[str, str] | None = None,
 ) -> Subject:
-    """Take a site as it is, and a pair as one of two LiDARs in the frame of the target.
+    """Use a site unchanged, and a pair as a site of two LiDARs in the frame of the target.
 
     Parameters
     ----------

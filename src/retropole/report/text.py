@@ -102,7 +102,7 @@ LONGEST_NAME = 20
 
 
 def input_lines(name: str, document: InputDoc) -> list[str]:
-    """Say what was read of a recording, and what was left out."""
+    """State what was read from a recording, and what was left out."""
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
     left_out = left_out_words(document)
     line = (
@@ -327,12 +327,12 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     listed = detection.rejected
     if not detection.poles and detection.threshold_source.endswith(LITTLE):
         # Their reasons are of pieces of the ground and of walls.
-        words = "nothing here is distinctly brighter than the rest: no tape is in view, or the "
-        parts += ["", *wrapped(words + "intensity is not as it was measured", "  ")]
+        words = "nothing is distinctly brighter than the rest: no tape is in view, or the "
+        parts += ["", *wrapped(words + "intensity is not the measured one", "  ")]
         listed = listed[:FEW_LISTED]
     parts += ["", counted(len(detection.rejected), "rejected cluster")]
     if len(listed) < len(detection.rejected):
-        parts[-1] += f", the largest {len(listed)} of them here; --json lists all"
+        parts[-1] += f", the largest {len(listed)} of them listed here; --json lists all"
     if listed:
         rows = [
             [cluster.code, *numbers(cluster.centre_m, 2), str(cluster.points)] for cluster in listed
@@ -404,28 +404,28 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
 
 
 def _pattern_line() -> str:
-    """Say how long to record LiDARs that do not repeat their pattern."""
+    """State how long to record LiDARs that do not repeat their pattern."""
     requested = [f"{s.name} {s.seconds:g} s" for s in SENSORS.values() if s.sweeps > 1]
     return f"           a pattern that does not repeat needs time ({', '.join(requested)}), or more"
 
 
 def _odd_lines(cloud: CloudDoc) -> list[str]:
-    """Say what is odd about the coordinates, and what to do about it."""
+    """Describe what is odd about the coordinates, with advice."""
     if not cloud.odd_coordinates:
         return []
     options = " or ".join(f"--unit {unit}" for unit in cloud.units)
     advice = (
-        f"read them with {options}, here and in every command"
+        f"read them with {options}, in this and every other command"
         if options
-        else "give the cloud in metres and in the LiDAR's own frame, or subtract the LiDAR's "
-        "place from all points"
+        else "give the cloud in metres and in the LiDAR's frame, or subtract the LiDAR's "
+        "position from all points"
     )
     return [f"           {cloud.odd_coordinates}", f"           what to do: {advice}"]
 
 
 def _beams_line(origin: list[float]) -> str:
     x, y, z = origin
-    return f"beams      start at ({x:.3f}, {y:.3f}, {z:.3f}) m, as the rings tell"
+    return f"beams      start at ({x:.3f}, {y:.3f}, {z:.3f}) m, as the rings show"
 
 
 def _intensity_lines(intensity: IntensityDoc) -> list[str]:
@@ -433,11 +433,11 @@ def _intensity_lines(intensity: IntensityDoc) -> list[str]:
     lines = [f"intensity  {values}, largest {intensity.max:.4g}"]
     if intensity.others:
         instead = " or ".join(f"--intensity {name}" for name in intensity.others)
-        lines.append(f"           of the field {intensity.field}; {instead} takes another")
+        lines.append(f"           of the field {intensity.field}; {instead} selects another")
     if intensity.threshold is None:
         return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be distinguished"]
     lines += [
-        f"threshold  {intensity.threshold:.4g} would be taken ({intensity.threshold_source}): "
+        f"threshold  {intensity.threshold:.4g} would be used ({intensity.threshold_source}): "
         f"{counted(intensity.retro_points, 'point')}",
         "",
         "  intensity from     points  (bars on a logarithmic scale)",

@@ -16,7 +16,7 @@ VERDICTS = {
     "warn": (
         "!",
         "Calibrated, with a warning",
-        "There is a pose, and a reason to read before you use it.",
+        "There is a pose. Read the reason before you use it.",
     ),
     "refused": (
         "✕",
@@ -28,7 +28,7 @@ VERDICTS = {
 
 
 def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> Html:
-    """Say ok, warn or refused, how good the poses are, and every reason with what to do.
+    """State ok, warn or refused, the accuracy of the poses, and every reason with advice.
 
     Of an answer it is short: its transform comes next, and what is certain of it below.
 
@@ -75,9 +75,7 @@ def instead_words(subject: Subject) -> str:
     trusted = (
         ""
         if subject.pair is None
-        else (
-            " If somebody watched and nobody touched the poles in between, `--trust-poles` says so."
-        )
+        else (" If you watched the poles and nobody touched them in between, give `--trust-poles`.")
     )
     return (
         f"The pose is wrong with a probability of {percent(subject.chance_wrong)}: do not use it. "
@@ -127,7 +125,7 @@ def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> Html:
 
 
 def next_steps(subject: Subject) -> Html:
-    """Say what to do with an answer; about a refusal its reasons say that."""
+    """Advise on the next steps after an answer; a refusal has advice in its reasons."""
     if not subject.answered or subject.chance_wrong is not None:
         return EMPTY
     piece = "next-site" if subject.pair is None else "next-pair"

@@ -59,8 +59,8 @@ def _from_above(subject: Subject, found: SiteWalk) -> Html:
     bar = {"length": metres * scale, "m": large(metres)}
     marks.append(fill("scale", y=height - 14.0, above=height - 24.0, **bar))
     said = (
-        f"Seen from above; up is the way the pole points on average. The line is where it was "
-        f"carried, from blue at the begin to orange at the end: {carried_words(found)}."
+        f"Seen from above; up is the mean direction of the pole. The line is its path, "
+        f"from blue at the start to orange at the end: {carried_words(found)}."
     )
     return picture("walk-said", height, marks, said, "map")
 
@@ -94,7 +94,7 @@ def _clocks(subject: Subject, found: SiteWalk, lidar: int) -> Html:
             marks.append(fill("clock-window", x=low[0], low=low[1], high=high[1], y=y))
     said = (
         f"{clock_words(subject, lidar)}. The chart has windows of 5 s, relative to the whole walk, "
-        "1 σ. Clocks that keep one rate stay about zero."
+        "1 σ. Clocks with a constant rate stay near zero."
     )
     name = "clocks-said" if subject.pair else f"clocks-said-{lidar}"
     return picture(name, 250.0, marks, said, "curve")
@@ -104,8 +104,11 @@ def _figures(subject: Subject, found: SiteWalk) -> Listing:
     seen = found.lidars
     rows = [
         ["sweeps in which the pole was found", *(f"{x.found} of {x.sweeps}" for x in seen)],
-        ["scatter of ranges, times what is stated", *(f"{x.range_scale:.2f}" for x in seen)],
-        ["edges of the pole move by, mrad", *(f"{1e3 * x.edge_jitter_rad:.2f}" for x in seen)],
+        ["scatter of ranges, relative to the stated", *(f"{x.range_scale:.2f}" for x in seen)],
+        [
+            "jitter of the edges of the pole, mrad",
+            *(f"{1e3 * x.edge_jitter_rad:.2f}" for x in seen),
+        ],
     ]
-    caption = "What both saw" if len(seen) == 2 else "What each saw"
+    caption = "Seen by both" if len(seen) == 2 else "Seen by each"
     return Listing(caption, ["", *walk_names(subject)], rows)

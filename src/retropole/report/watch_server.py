@@ -37,7 +37,7 @@ REFUSED = b"Open the address as printed.\n"
 
 @cache
 def watch_page() -> tuple[str, str]:
-    """Put the page together; and its policy, which allows only this style and code, by their
+    """Assemble the page; and its policy, which allows only this style and code, by their
     hashes, and the state."""
     template, style, script = (asset(f"watch.{kind}") for kind in ("html", "css", "js"))
     policy = (
@@ -82,11 +82,9 @@ class WatchServer(ThreadingMixIn, TCPServer):
         try:
             address = ip_address(host)
         except ValueError:
-            raise UsageError(f"{host!r} is no IP address") from None
+            raise UsageError(f"{host!r} is not an IP address") from None
         if address.is_unspecified:
-            raise UsageError(
-                f"{host} stands for all addresses of this machine: name the one to use"
-            )
+            raise UsageError(f"{host} means all addresses of this machine: give the one to use")
         self.state = state
         self._open: dict[socket.socket, tuple[str, float]] = {}
         self.address_family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
@@ -134,7 +132,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
                     connection.shutdown(socket.SHUT_RDWR)
 
     def shutdown_request(self, request: socket.socket | tuple[bytes, socket.socket]) -> None:
-        """Let go of a connection."""
+        """Release a connection."""
         super().shutdown_request(request)
         if isinstance(request, socket.socket):
             self._open.pop(request, None)
@@ -205,7 +203,7 @@ class _Answering(BaseHTTPRequestHandler):
 
 
 def local_address() -> str:
-    """Say the address of this machine in the local network; nothing is sent.
+    """Find the address of this machine in the local network; nothing is sent.
 
     Raises
     ------
@@ -221,7 +219,7 @@ def local_address() -> str:
         except OSError:
             address = "127.0.0.1"
     if ip_address(address).is_loopback or ip_address(address).is_unspecified:
-        raise UsageError("this machine is in no network that a phone could be in")
+        raise UsageError("this machine is in no network that a phone could join")
     return address
 
 

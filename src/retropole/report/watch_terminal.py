@@ -96,7 +96,7 @@ def _from_above(chart: ChartNow) -> Text:
         text.append("\n")
     for k, name in enumerate(chart.names):
         text.append(printable(f"L {name}  "), ("cyan", "magenta")[k % 2])
-    return text.append(f"· way of the pole, o now; 1 m is {2 * scale:.1f} columns")
+    return text.append(f"· path of the pole, o now; 1 m is {2 * scale:.1f} columns")
 
 
 def _table(lidars: list[LidarNow]) -> Table:

@@ -367,7 +367,7 @@ class Provenance(NamedTuple):
 
 
 def made_now(seconds: Mapping[str, float] | None = None) -> Provenance:
-    """Say that a document is made now, by this version, in this many seconds of each step."""
+    """Give time, version and the seconds of each step of a document."""
     rounded = {name: round(value, 4) for name, value in (seconds or {}).items()}
     return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"), rounded)
 
@@ -425,7 +425,8 @@ PLAN_FILE, PLAN_PAGE = "plan.json", "plan.html"
 
 
 def result_file(path: Path) -> Path:
-    """Take the result document in a folder, that of a site where it is alone; a file as it is."""
+    """Find the result document in a folder, that of a site if it is the only one; a file is
+    returned unchanged."""
     if not path.is_dir():
         return path
     own, of_site = path / RESULT_FILE, path / SITE_RESULT_FILE
@@ -433,7 +434,8 @@ def result_file(path: Path) -> Path:
 
 
 def any_result_file(path: Path) -> Path:
-    """Take the result document in a folder, that of two LiDARs or of a site, and a file as it is.
+    """Find the result document in a folder, that of two LiDARs or of a site; a file is returned
+    unchanged.
 
     Raises
     ------
@@ -443,5 +445,5 @@ def any_result_file(path: Path) -> Path:
     if not path.is_dir() or not (path / SITE_RESULT_FILE).exists():
         return result_file(path)
     if (path / RESULT_FILE).exists():
-        raise UsageError(f"{path} holds {RESULT_FILE} and {SITE_RESULT_FILE}; name one of them")
+        raise UsageError(f"{path} contains {RESULT_FILE} and {SITE_RESULT_FILE}; give one of them")
     return path / SITE_RESULT_FILE

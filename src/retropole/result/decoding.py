@@ -119,13 +119,13 @@ def decode_plan(data: bytes) -> PolePlanDoc:
 
 
 def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
-    """Let every pole have a unique name, point up, and be seen by LiDARs of the plan."""
+    """Check that every pole has a unique name, points up, and is seen by LiDARs of the plan."""
     of_poles = [pole.name for placement in plan.placements for pole in placement.poles]
     if len(set(of_poles)) < len(of_poles):
         raise ReadError("placements: two poles have the same name")
     for name in () if plan.moved is None else plan.moved.poles:
         if name not in of_poles:
-            raise ReadError(f"moved.poles: no pole is called {printable(name)}")
+            raise ReadError(f"moved.poles: no pole is named {printable(name)}")
     for p, placement in enumerate(plan.placements):
         for k, pole in enumerate(placement.poles):
             field, seers = f"placements[{p}].poles[{k}]", [each.lidar for each in pole.seen]
@@ -147,7 +147,7 @@ def _check_planned_poles(plan: PolePlanDoc, lidars: Sequence[str]) -> None:
 
 
 def _check_prediction(field: str, each: PredictedDoc, first: PredictedDoc) -> None:
-    """Let the errors be those of the covariance, at the ranges of the first LiDAR's."""
+    """Check that the errors are those of the covariance, at the ranges of the first LiDAR's."""
     ranges = tuple(one.range_m for one in first.predicted_error)
     if not ranges or any(a >= b for a, b in pairwise(ranges)):
         raise ReadError(f"{field}.predicted_error: expected ranges, each larger than the last")
@@ -169,7 +169,7 @@ def _check_prediction(field: str, each: PredictedDoc, first: PredictedDoc) -> No
 
 
 def _check_verdict(document: ResultDoc | SiteDoc, stated: Mapping[str, Array | None]) -> None:
-    """Let every answer be there, under its name, unless the run was refused."""
+    """Check that every answer exists, under its name, unless the run was refused."""
     for name, array in stated.items():
         if (document.status == "refused") != (array is None):
             there = "there is one" if array is not None else "none"
@@ -179,7 +179,7 @@ def _check_verdict(document: ResultDoc | SiteDoc, stated: Mapping[str, Array | N
 
 
 def _check_names(document: SiteDoc) -> None:
-    """Let every LiDAR have a unique name, which names its rows of the joint covariance."""
+    """Check that every LiDAR has a unique name, which names its rows of the joint covariance."""
     names = [lidar.name for lidar in document.lidars]
     if len(set(names)) < len(names):
         raise ReadError("lidars: two have the same name")
@@ -190,7 +190,7 @@ def _check_names(document: SiteDoc) -> None:
 
 
 def _check_indices(document: SiteDoc) -> None:
-    """Let every index find a LiDAR, a placement or a pole."""
+    """Check that every index is that of a LiDAR, a placement or a pole."""
     for name, of, index in _indices(document):
         count = len(getattr(document, of))
         if index >= count:

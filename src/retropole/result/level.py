@@ -147,5 +147,5 @@ def level_of(data: bytes, lidars: Sequence[LidarDoc]) -> LevelDoc:
         pose = poses.get(lidar.name)
         own = None if pose is None else found.T_ground_frame @ np.asarray(pose)
         if own is None or not np.allclose(own, lidar.T_ground_lidar, atol=SAME_POSE):
-            raise UsageError("is of another result: 'retropole level' makes it anew")
+            raise UsageError("is of another result: 'retropole level' writes it again")
     return found

@@ -48,7 +48,7 @@ THINNEST = 0.005
 
 
 def radius_in_metres(given: float) -> str:
-    """Say of a radius above the limit which unit it was probably typed in, and what to give.
+    """Report the probable unit of a radius above the limit, and the value to give.
 
     Empty if it is not above, or no radius of a pole in centimetres or millimetres.
     """
@@ -58,11 +58,11 @@ def radius_in_metres(given: float) -> str:
         return ""
     # Of two, the one nearer to the usual radius.
     unit = min(likely, key=lambda unit: abs(math.log(likely[unit] / DEFAULT_RADIUS)))
-    return f"{given:g} m is no pole; {given:g} {unit}? give {likely[unit]:g}"
+    return f"{given:g} m is not the radius of a pole; {given:g} {unit}? give {likely[unit]:g}"
 
 
 def describe(text: str) -> Meta:
-    """Say what an option is, in the words of the command line's help."""
+    """Describe an option, in the text of the command line's help."""
     return Meta(description=text)
 
 
@@ -75,7 +75,7 @@ SAME = describe("The same for SOURCE.")
 
 
 def frames_named(text: str) -> slice | None:
-    """Take frames as they are typed, ``A:B``, ``A:B:STEP`` or ``N``; None for anything else."""
+    """Parse frames as typed, ``A:B``, ``A:B:STEP`` or ``N``; None for anything else."""
     try:
         parts = [int(part) if part.strip() else None for part in text.split(":")]
     except ValueError:
@@ -91,7 +91,7 @@ def frames_named(text: str) -> slice | None:
 
 
 def slice_of(frames: Frames | None) -> slice | None:
-    """Take frames as in a document as a slice; None for those evenly spread."""
+    """Convert frames of a document to a slice; None for those evenly spread."""
     return None if frames is None else slice(*frames)
 
 
@@ -138,56 +138,62 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         RadiusSigma, rare("1 sigma of the radius, m. At least 2 % of the radius is used.")
     ] = 0.0
     up: Annotated[
-        bool, describe("Both LiDARs are roughly upright: leave out hypotheses that contradict it.")
+        bool, describe("Both LiDARs are roughly upright: exclude hypotheses that contradict this.")
     ] = False
     prior_rpy_deg: Annotated[
         tuple[Angle, Angle, Angle] | None,
-        rare("Expected roll, pitch and yaw of the source in the target's frame: choose by this."),
+        rare(
+            "Expected roll, pitch and yaw of the source in the target's frame, to choose the "
+            "hypothesis."
+        ),
     ] = None
     prior_sigma_deg: Annotated[PriorSigma, rare("1 sigma of --up or --prior-rpy-deg.")] = 10.0
     map: Annotated[
         bool,
-        rare("TARGET is a map: a cloud in any coordinates, put together from many places."),
+        rare("TARGET is a map: a cloud in any coordinates, merged from many positions."),
     ] = False
     prior_xyz: Annotated[
         tuple[Coordinate, Coordinate, Coordinate] | None,
-        rare("Where SOURCE roughly is in the map: E N H, of GNSS or of a viewer."),
+        rare("Rough position of SOURCE in the map: E N H, from GNSS or a viewer."),
     ] = None
     prior_sigma_m: Annotated[Distance, rare("1 sigma of --prior-xyz, m.")] = 2.0
     hypothesis: Annotated[
         Text | None,
         rare(
-            "Take this hypothesis from the list that the run prints without the option. The "
+            "Use this hypothesis from the list that the run prints without the option. The "
             "verdict is warn at best, and refused if the scene contradicts it."
         ),
     ] = None
     carried: Annotated[
         bool,
         describe(
-            "A person carried one pole through the view of both, who recorded the walk. Gives the "
-            "offset of the clocks as well."
+            "A person carried one pole in view of both LiDARs while they recorded. "
+            "Also gives the clock offset."
         ),
     ] = False
     poles: Annotated[
         Poles | None,
-        rare("Exact number of poles that both see; 0: none, the scene alone.  [default: any]"),
+        rare(
+            "Exact number of poles that both LiDARs see; 0: no poles, the scene only.  [default: "
+            "any]"
+        ),
     ] = None
     refine: Annotated[bool, rare("Use the poles only.")] = True
     trust_poles: Annotated[
-        bool, rare("You watched the poles: accept two that the scene does not confirm.")
+        bool, rare("You watched the poles: accept two poles that the scene does not confirm.")
     ] = False
     deceiving_share: Annotated[
         ShareOfSome | None,
         rare(
-            "Share of recordings like these that deceive: poles moved in between, or other "
-            "objects taken for poles. The chance of a wrong pose is computed with it.  [default: "
+            "Share of similar recordings with misleading poles: moved in between, or other "
+            "objects detected as poles. Used to compute the chance of a wrong pose.  [default: "
             f"{DECEIVING:.2f}, or {TOGETHER:g} where both recorded at the same time]"
         ),
     ] = None
     need_m: Annotated[
         NeededError | None,
         describe(
-            "Accuracy that is needed, cm. The verdict says whether every point up to "
+            "Required accuracy, cm. The verdict says whether every point up to "
             f"{DEFAULT_AT:g} m away (--at-m) is within it, with 95 % probability."
         ),
     ] = None
@@ -198,8 +204,8 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     mast_sway_deg: Annotated[
         MastSway | None,
         rare(
-            "1 sigma of the angle that the masts of both LiDARs sway by. Needed of recordings of "
-            "one or two sweeps, which do not show it.  [default: what the sweeps show]"
+            "1 sigma of the angle by which the masts of both LiDARs sway. Needed for recordings "
+            "of one or two sweeps, which do not show the sway.  [default: from the sweeps]"
         ),
     ] = None
     threshold_target: Annotated[
@@ -225,20 +231,22 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     max_points: Annotated[
         MaxPoints,
         rare(
-            "Most points to read of a cloud. Of a larger one fewer frames are read, or the "
-            "brightest points and a sample of the others."
+            "Maximum number of points to read from a cloud. From a larger one fewer frames are "
+            "read, or the brightest points and a sample of the others."
         ),
     ] = MAX_POINTS
     unit: Annotated[Unit, describe("Unit of coordinates; see 'retropole info'.")] = "m"
     unit_source: Annotated[Unit | None, SAME] = None
     intensity: Annotated[
         Text | None,
-        rare("Field of the intensity, where several may be; 'retropole info' lists them."),
+        rare("Field of the intensity, if there are several; 'retropole info' lists them."),
     ] = None
     intensity_source: Annotated[Text | None, SAME] = None
     angles: Annotated[
         Text | None,
-        rare("Of packets, the file of the unit's own angles: Hesai's .csv, or .dat of an AT128."),
+        rare(
+            "For packets, the file with the angles of the unit: Hesai's .csv, or .dat of an AT128."
+        ),
     ] = None
     angles_source: Annotated[Text | None, SAME] = None
 

@@ -213,7 +213,7 @@ NO_SITE: dict[str, Any] = {
 
 
 def as_site(document: ResultDoc | SiteDoc) -> SiteDoc:
-    """Take a pair as a site of two LiDARs in the frame of the target, and a site as it is."""
+    """Convert a pair to a site of two LiDARs in the frame of the target; a site is unchanged."""
     if isinstance(document, SiteDoc):
         return document
     names, T, config = input_names(document), document.T_target_source, document.config
@@ -354,7 +354,7 @@ def found_document(scan: Scan | None) -> FoundDoc | None:
 def recording_document(
     source: InputDoc, lidar: int, placement: int, how: Reading = DEFAULT_CONFIG.of_target
 ) -> RecordingDoc:
-    """Say of what was read which LiDAR and placement, by their indices, it is of, and how."""
+    """Describe a recording that was read, with its LiDAR and placement by their indices."""
     frames = None if how.frames is None else (how.frames.start, how.frames.stop, how.frames.step)
     at = {"lidar": lidar, "placement": placement}
     read = {"topic": how.topic, "frames": frames, "unit": how.unit}

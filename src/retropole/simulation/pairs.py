@@ -102,9 +102,9 @@ def simulate_pair(
         No arrangement was found in `MAX_DRAWS` draws in which both LiDARs see every pole.
     """
     if scene not in SCENES:
-        raise UsageError(f"no scene is called {scene!r}; there are {', '.join(SCENES)}")
+        raise UsageError(f"no scene is named {scene!r}; there are {', '.join(SCENES)}")
     if poles == 0 and scene == "paper":
-        raise UsageError("the paper's set-up has nothing but its poles")
+        raise UsageError("the paper's set-up has only its poles")
     names = DEFAULT_SENSORS[scene]
     sensors = (find_sensor(sensor_target or names[0]), find_sensor(sensor_source or names[1]))
     if noise is None:
@@ -128,8 +128,9 @@ def simulate_pair(
                 return record(replace(at, poles=()), recorders, for_recording)
             return record_every_pole(at, recorders, for_recording)
     raise SimulationError(
-        f"{MAX_DRAWS} draws of {scene!r} gave none where {sensors[0].name} and {sensors[1].name} "
-        f"both see {poles or 2} poles with {MIN_RETURNS} returns on {MIN_RINGS} rings"
+        f"{MAX_DRAWS} draws of {scene!r} gave no scene in which {sensors[0].name} and "
+        f"{sensors[1].name} both see {poles or 2} poles with {MIN_RETURNS} returns on "
+        f"{MIN_RINGS} rings"
     )
 
 
@@ -465,4 +466,4 @@ def place_again(
         at = Arrangement(pair.surroundings, drawn, poses, pair.clear)
         if are_in_view(at, recorders, rng):
             return record_every_pole(at, recorders, for_recording)
-    raise SimulationError(f"{MAX_DRAWS} draws gave no other place for {count} poles")
+    raise SimulationError(f"{MAX_DRAWS} draws gave no other positions for {count} poles")

@@ -295,8 +295,8 @@ def arrange(
         if found is not None:
             return found
     raise SimulationError(
-        f"{MAX_DRAWS} draws of {kind!r} gave none where {placements} placements of {poles} poles "
-        f"link {len(sensors)} LiDARs: give more placements, or sensors with more rings"
+        f"{MAX_DRAWS} draws of {kind!r} gave no site in which {placements} placements of {poles} "
+        f"poles link {len(sensors)} LiDARs: give more placements, or sensors with more rings"
     )
 
 

@@ -118,7 +118,7 @@ class SimulatedSite:
         return tuple(str(k + 1) for k in range(len(self.poles)))
 
     def as_site(self) -> Site:
-        """Give what a calibration starts from: nothing of the truth."""
+        """Give the input of a calibration, without the truth."""
         surveyed = bool(self.surveyed or self.points)
         return Site(
             name=f"simulated {self.kind}",
@@ -212,7 +212,7 @@ def draw_site(
 ) -> DrawnSite:
     """Draw a site where poles link all LiDARs: the first half of `simulate_site`, as there."""
     if kind not in SITES:
-        raise UsageError(f"no kind of site is called {kind!r}; there are {', '.join(SITES)}")
+        raise UsageError(f"no kind of site is named {kind!r}; there are {', '.join(SITES)}")
     placements, poles = _numbers(kind, lidars, placements, poles)
     names = sensors or DEFAULT_SENSORS[kind]
     models = tuple(find_sensor(names[k % len(names)]) for k in range(lidars))

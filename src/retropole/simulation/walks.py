@@ -314,8 +314,8 @@ def simulate_walk(
             break
     else:
         raise SimulationError(
-            f"{MAX_DRAWS} draws of {scene!r} gave none where {' and '.join(sensors)} all have the "
-            "pole in view"
+            f"{MAX_DRAWS} draws of {scene!r} gave no walk in which {' and '.join(sensors)} all "
+            "have the pole in view"
         )
     clocks = [(rng.uniform(-clock, clock), rng.normal(0, 5e-6)) for _ in sensors[1:]]
     recorders = tuple(

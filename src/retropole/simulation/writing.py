@@ -260,13 +260,13 @@ def _lidar_tables(
 
 
 def _tables(lines: list[str], tables: Iterable[tuple[str, dict[str, Any]]]) -> str:
-    """Put tables, by their heads, below the first lines."""
+    """Write tables, by their heads, below the first lines."""
     lines = [*lines, *(line for head, keys in tables for line in (head, *_keys(keys)))]
     return "\n".join(lines) + "\n"
 
 
 def _plain(surveyed: msgspec.Struct) -> dict[str, Any]:
-    """Give what was surveyed by the names that it has in a site file."""
+    """Give surveyed values by their names in a site file."""
     keys: dict[str, Any] = msgspec.to_builtins(surveyed, enc_hook=np.ndarray.tolist)
     return keys
 

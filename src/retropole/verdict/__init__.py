@@ -1,4 +1,5 @@
-"""Ok, warn or refused, and why: the rules that stand between an estimate and an answer."""
+"""The verdict ok, warn or refused, and its reasons: the rules by which an estimate becomes an
+answer."""
 
 from __future__ import annotations
 
@@ -33,20 +34,21 @@ from ..surfaces.static import other_times
 from .map import MORE_OF_MAP
 
 WEAK_ANGLE = np.radians(15.0)
-"""Poles nearer to parallel than this make a weak answer."""
+"""Below this angle between the poles, the answer is weak."""
 
 FEW_POINTS = 12
 """Returns on a pole below which its line is weak."""
 
 NOISE_RATIO = 3.0
-"""Returns on poles scatter no more than this many times the noise that the manufacturer states."""
+"""Limit of the scatter of returns on poles, in multiples of the noise that the manufacturer
+states."""
 
 WEAK_SIGMA = 0.05
-"""1 σ of the poles' place above which a direction is called weak, metres."""
+"""1 σ of the position at the poles above which a direction is called weak, metres."""
 
 OFFSET_SHARE = 2.0
-"""By this factor a range offset or the radius, were they known, would sharpen the pose, before it
-is said that they are what limits it."""
+"""A range offset or the radius is reported as the limit of the accuracy if knowing it would reduce
+1 σ of the pose by this factor."""
 
 
 def weaknesses(
@@ -57,7 +59,7 @@ def weaknesses(
     refined: Refinement | None,
     confirmation: Confirmation,
 ) -> list[Reason]:
-    """Say what makes an answer weak that is good enough to give.
+    """Report the weaknesses of an accepted answer.
 
     Parameters
     ----------
@@ -66,13 +68,13 @@ def weaknesses(
     hypotheses
         All hypotheses, the chosen one first.
     aligned
-        The poles' pose.
+        The pose from the poles.
     weakest
         The direction in which the answer is least certain.
     refined
-        The pose of poles and scene; None where the scene was not asked, or had nothing to say.
+        The pose from poles and scene; None if the scene was not used, or gave no information.
     confirmation
-        How far what stands in the scene agrees with the answer.
+        Agreement of the objects in the scene with the answer.
     """
     is_map = paired[0].placement.target.cloud.is_map
     return [
@@ -100,7 +102,8 @@ def weaknesses(
 
 
 def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> Iterator[Reason]:
-    """Say that the poles leave a part of the pose to the place, or are nearly parallel."""
+    """Report that a part of the pose is from the surroundings, or that the poles are nearly
+    parallel."""
     poles = [pole for each in paired for pole in each.target_poles]
     if not is_by_place(paired):
         yield from check_angles([pole.direction for pole in poles])
@@ -111,22 +114,23 @@ def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> It
     if not poles:
         yield Reason(
             "without_poles",
-            "without poles the place gives all of the pose, and nothing checks it; it leads other "
-            f"angles and shifts by {lead:.1f} σ. Look at the clouds, or {SET_UP_TWO}",
+            "without poles the surroundings determine the whole pose, and there is no check; the "
+            f"pose is better than other angles and shifts by {lead:.1f} σ. Look at the clouds, "
+            f"or {SET_UP_TWO}",
             {"lead": lead},
         )
         return
-    are = "one pole leaves" if len(poles) == 1 else f"{len(poles)} poles, all parallel, leave"
+    are = "one pole does" if len(poles) == 1 else f"{len(poles)} poles, all parallel, do"
     yield Reason(
         "by_place",
-        f"{are} a part of the pose open, which the place around gives: it leads other angles and "
-        f"shifts by {lead:.1f} σ; to check it, {LEAN_ANOTHER}",
+        f"{are} not determine the whole pose, the rest is from the surroundings: it is better "
+        f"than other angles and shifts by {lead:.1f} σ; to check it, {LEAN_ANOTHER}",
         {"poles": len(poles), "lead": lead},
     )
 
 
 def check_sway(lidar: str, scans: Sequence[Scan]) -> Iterator[Reason]:
-    """Say that a LiDAR swayed while it recorded: the worst of its recordings."""
+    """Report that a LiDAR swayed while it recorded: the worst of its recordings."""
     found = [scan.sway for scan in scans if scan.sway is not None]
     if not found:
         return
@@ -148,14 +152,14 @@ def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:
     if margin is not None and margin < WARN_MARGIN:
         yield Reason(
             "small_margin",
-            f"the chosen hypothesis leads by {margin:.3f} only (comfortable: {WARN_MARGIN:g}); "
-            "look at the hypotheses in the report before you use the transform",
+            f"the score of the chosen hypothesis is higher by only {margin:.3f} ({WARN_MARGIN:g} "
+            "or more is clear); look at the hypotheses in the report before you use the transform",
             {"margin": margin, "comfortable": WARN_MARGIN},
         )
 
 
 def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
-    """Say which poles were left out since they do not stand as the others do."""
+    """Report the poles that were left out since they contradict the others."""
     for k, each in enumerate(paired, 1):
         target, source = each.placement.target.poles, each.placement.source.poles
         of = "" if len(paired) == 1 else f" of placement {k}"
@@ -163,14 +167,14 @@ def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
             yield Reason(
                 "pole_left_out",
                 f"pole T{i} of the target and pole S{j} of the source{of} lie "
-                f"{quantities.error(distance)} apart where the {len(each.target_poles)} others "
+                f"{quantities.error(distance)} apart, whereas the {len(each.target_poles)} others "
                 "agree, and were left out: did it move between the recordings?",
                 {"placement": k, "target": i, "source": j, "apart_m": distance},
             )
 
 
 def check_sensor(lidar: str, scan: Scan) -> Iterator[Reason]:
-    """Say that a cloud shows more than the sensor that was named can see, or is placed by angles
+    """Report that a cloud shows more than the given sensor can see, or is computed with angles
     that are not those of the unit.
     """
     doubt = sensor_doubt(scan.cloud, scan.sensor)
@@ -180,10 +184,10 @@ def check_sensor(lidar: str, scan: Scan) -> Iterator[Reason]:
         low, high = (np.degrees(angle) for angle in UNITS_DIFFER)
         yield Reason(
             "nominal_angles",
-            f"the points of {lidar} are placed by the angles of an example of the {model}: units "
-            f"differ by {low:.2f}° to {high:.1f}° in elevation, {30 * UNITS_DIFFER[0]:.2f} to "
-            f"{30 * UNITS_DIFFER[1]:.1f} m at 30 m, which the stated error does not count; "
-            "--angles FILE gives those of the unit",
+            f"the points of {lidar} are computed with the angles of an example of the {model}: "
+            f"units differ by {low:.2f}° to {high:.1f}° in elevation, {30 * UNITS_DIFFER[0]:.2f} "
+            f"to {30 * UNITS_DIFFER[1]:.1f} m at 30 m, which the stated error does not include; "
+            "give the angles of the unit with --angles FILE",
             {"lidar": lidar, "model": model, "differ_rad": float(UNITS_DIFFER[1])},
         )
 
@@ -195,21 +199,22 @@ and most of five models, of which the maker and a driver (Nebula) publish an exa
 
 
 def check_angles(directions: Sequence[Array], lidars: str = "") -> Iterator[Reason]:
-    """Say that poles (3,) each are nearly parallel that link two LiDARs, of a site by name."""
+    """Report that poles (3,) each that link two LiDARs, of a site by name, are nearly parallel."""
     angle = widest_angle(directions)
     if angle < WEAK_ANGLE:
         degrees = float(np.degrees(angle))
         of = lidars and f" that link {lidars}"
         yield Reason(
             "nearly_parallel_poles",
-            f"the poles{of} are {degrees:.1f}° apart, which leaves height weak; lean one by 15° "
-            "or more",
+            f"the poles{of} are {degrees:.1f}° apart, so that the height is weakly determined; "
+            "lean one by 15° or more",
             {"angle_deg": degrees},
         )
 
 
 def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
-    """Say that a LiDAR has little to tell of its poles; two hold a pose: the second best counts."""
+    """Report that a LiDAR has few returns on its poles; two determine a pose: the second best is
+    used."""
     if not poles:
         return
     points, rings = (
@@ -226,14 +231,15 @@ def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
     elif rings <= MIN_POLE_RINGS:
         yield Reason(
             "few_rings",
-            f"a pole is met by {quantities.counted(rings, 'ring')} of the {lidar} LiDAR; move "
+            f"a pole is hit by {quantities.counted(rings, 'ring')} of the {lidar} LiDAR; move "
             "it nearer, or use a longer one",
             {"lidar": lidar, "rings": rings},
         )
 
 
 def check_noise(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Reason]:
-    """Say that a LiDAR's returns on the poles scatter more than its manufacturer's figure allows.
+    """Report that a LiDAR's returns on the poles scatter more than its manufacturer's figure
+    allows.
 
     Parameters
     ----------
@@ -247,9 +253,9 @@ def check_noise(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Rea
     if noise > allowed:
         yield Reason(
             "noisy_poles",
-            f"the {lidar}'s returns on the poles scatter by {1000 * noise:.0f} mm along the beam, "
-            f"{1000 * allowed:.0f} mm are the most to expect: is --radius right, and did the poles "
-            "stand still?",
+            f"the {lidar}'s returns on the poles scatter by {1000 * noise:.0f} mm along the "
+            f"beam, {1000 * allowed:.0f} mm is the largest expected: is --radius right, and did "
+            "the poles not move?",
             {"lidar": lidar, "noise_m": noise, "expected_m": expected},
         )
 
@@ -270,10 +276,10 @@ def _weak_pose(aligned: BeamAlignment, weakest: WeakDirection) -> Iterator[Reaso
         if with_offset > OFFSET_SHARE * without:
             yield Reason(
                 "offset_not_separable",
-                "the returns cannot tell the pose from a range offset that the tape may cause, or "
-                f"from an error of the radius: with these known the poles' pose would have 1 σ of "
-                f"{quantities.error(without)}, without {quantities.error(with_offset)}; put poles "
-                "on different sides of the LiDARs",
+                "the returns do not distinguish the pose from a range offset of the tape or an "
+                "error of the radius: if these were known, the pose from the poles would have 1 "
+                f"σ of {quantities.error(without)}, otherwise {quantities.error(with_offset)}; "
+                "put poles on different sides of the LiDARs",
                 {"sigma_m": with_offset, "sigma_if_known_m": without},
             )
 
@@ -282,8 +288,8 @@ def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterat
     if not aligned.converged:
         yield Reason(
             "not_converged",
-            f"the poles' pose still moved after {aligned.iterations} iterations; record more "
-            "frames, or look at what was taken for a pole",
+            f"the pose from the poles still moved after {aligned.iterations} iterations; record "
+            "more frames, or check which objects were detected as poles",
             {"stage": "poles", "iterations": aligned.iterations},
         )
     if refined is not None and not refined.converged:

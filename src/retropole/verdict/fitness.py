@@ -1,4 +1,4 @@
-"""Is an answer as accurate as it must be; where that is not shown, what would make it so."""
+"""Whether an answer is as accurate as required; if that is not shown, how to improve it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..base.uncertainty.purpose import (
     Need,
     displacement_bound,
     fitness,
-    is_surely_met,
+    is_certainly_met,
 )
 from .map import MORE_OF_MAP
 
@@ -30,27 +30,27 @@ DOUBTS = (
     "chosen_by_hand",
     "several_minima",
 )
-"""Warnings that the pose may be another one, which its covariance does not count."""
+"""Warnings that the pose may be another one, which its covariance does not include."""
 
 MOST_OF_VARIANCE = 0.5
-"""Sources of error are named, two at most, until they make this share of the variance."""
+"""Sources of error are named, at most two, until they amount to this share of the variance."""
 
 
 def judge(answer: Calibration, need: Need | None) -> Calibration:
-    """Answer whether a pose is as accurate as it must be, and warn where that is not shown.
+    """Determine whether a pose is as accurate as required, and warn if that is not shown.
 
     Parameters
     ----------
     answer
         An answer, not a refusal.
     need
-        How accurate it must be. None requires `USABLE` of its covariance, and adds nothing if
+        The required accuracy. None requires `USABLE` of its covariance, and adds nothing if
         that is met.
     """
     assert answer.covariance is not None
     doubts: tuple[str, ...] = ()
     if need is None:
-        if is_surely_met(answer.covariance, USABLE):
+        if is_certainly_met(answer.covariance, USABLE):
             return answer
         fit = fitness(answer.covariance, USABLE)
     else:
@@ -72,7 +72,7 @@ def judge(answer: Calibration, need: Need | None) -> Calibration:
 def _not_fit(
     fit: Fitness, answer: Calibration, *, is_asked: bool, is_doubted: bool
 ) -> Iterator[Reason]:
-    """Say that an answer is not as accurate as it must be, and what would make it so."""
+    """Report that an answer is not as accurate as required, and how to improve it."""
     if fit.answer == "yes":
         return
     said = [fit.words]
@@ -86,22 +86,22 @@ def _not_fit(
         said.append(f"95 % sure: within {quantities.at_most(fit.bound_m)}")
     said += _helping(fit, answer, is_doubted)
     if not is_asked:
-        said.append("if less accuracy is enough, --need-cm and --at-m say so")
+        said.append("if less accuracy is enough, give it by --need-cm and --at-m")
     yield Reason("not_fit_for_purpose", "; ".join(said), values)
 
 
 def _helping(fit: Fitness, answer: Calibration, is_doubted: bool) -> Iterator[str]:
-    """Say what would make an answer good enough, or that nothing would."""
+    """State what would make an answer accurate enough, or that nothing would."""
     assert answer.covariance is not None
     if displacement_bound(answer.covariance, fit.at_m) <= fit.within_m:
-        # Of its doubts each says by itself what to do.
+        # The reasons for doubt have separate advice.
         if not is_doubted:
-            more = "another pole, or a placement with the poles in another way"
+            more = "another pole, or a placement with the poles arranged differently"
             yield f"what would help: {MORE_OF_MAP if _is_in_map(answer) else more}"
         return
     least = displacement_bound(floor(), fit.at_m)
     if least > fit.within_m:
-        yield f"no recording shows less than {quantities.at_most(least)}"
+        yield f"no recording can show less than {quantities.at_most(least)}"
         return
     lead = "what would help"
     if answer.refined is None:
@@ -117,7 +117,7 @@ def _is_in_map(answer: Calibration) -> bool:
 
 
 def _remedies(answer: Calibration) -> dict[str, str]:
-    """Say what makes the largest sources of error smaller, each with its share of the variance."""
+    """State how to reduce the largest sources of error, each with its share of the variance."""
     first = answer.placements[0]
     is_known = {
         "target": first.target.sensor is not None,

@@ -1,4 +1,4 @@
-"""Why a LiDAR has no pose in a map, in words of a map and not of poles."""
+"""Why a LiDAR has no pose in a map: messages about maps instead of poles."""
 
 from __future__ import annotations
 
@@ -10,50 +10,51 @@ from ..hypotheses.by_place import MAX_CONTRADICTED
 from ..hypotheses.evidence import MIN_TOTAL
 
 MORE_OF_MAP = (
-    "take a larger part of the map or one with more in it, record where the LiDAR sees more of it, "
-    "or compare with surveyed points"
+    "use a larger part of the map or a map with more objects, record where the LiDAR sees more "
+    "of it, or compare with surveyed points"
 )
-"""What helps where a map leaves a direction to little."""
+"""Advice if little in a map determines a direction."""
 
 DIFFERS = {"scene_contradicts", "too_few_poles", "poles_scene_contradict"}
-"""Refusals of poses in a map that what the LiDAR sees speaks against."""
+"""Refusals of poses in a map that the recording contradicts."""
 
 
 def of_map(refusal: Refusal) -> Refusal:
-    """Say of a refusal what it means where the target is a map."""
+    """Reword a refusal for a target that is a map."""
     values = refusal.values
-    place = "give a heading (--prior-rpy-deg) or a better place (--prior-xyz, --prior-sigma-m)"
+    place = "give a heading (--prior-rpy-deg) or a better position (--prior-xyz, --prior-sigma-m)"
     if "lead" in values and _hardly_contradicted(values):
         return Refusal(
             "ambiguous",
-            "shifted or turned, what the LiDAR sees fits the map nearly as well: the pose leads by "
+            "shifted or rotated, the cloud fits the map nearly as well: the pose is better by "
             f"{values['lead']:.1f} σ only, chance of a wrong one "
             f"{100 * float(values['probability_wrong']):.0f} %: {place}, or {MORE_OF_MAP}",
             values,
         )
     if refusal.code in DIFFERS:
-        found = "hardly anything of it lies on the map"
+        found = "hardly any of its surfaces coincide with the map"
         if "agreeing" in values:
             agreeing, against = int(values["agreeing"]), int(values["contradicting"])
             found = (
-                f"of the patches off the ground {counted(agreeing, 'agrees', 'agree')}, and the "
-                f"LiDAR looked through {against:,} of the map that are too high to have driven off"
+                f"of the patches above the ground {counted(agreeing, 'agrees', 'agree')}, and "
+                f"the LiDAR measured through {against:,} of the map that are too high to have "
+                "driven off"
             )
         return Refusal(
             "map_differs",
             f"the map does not show what the LiDAR sees: {found}; has the place changed since, or "
-            "is the map of another one? Take a newer map, or another place (--prior-xyz)",
+            "is this a map of another place? Use a newer map, or another position (--prior-xyz)",
             values,
         )
     if refusal.code == "degenerate_poles":
         sizes = ""
         if "rotation_sigma_rad" in values:
-            sizes = refusal.message.partition("hold the pose to ")[2].partition(";")[0]
-            sizes = f": they hold the pose to {sizes}"
+            sizes = refusal.message.partition("determine the pose only to ")[2].partition(";")[0]
+            sizes = f": they determine the pose to {sizes}"
         return Refusal(
             "map_leaves_open",
-            f"the surfaces of the map that the LiDAR sees leave a part of its pose open{sizes}; "
-            "take a map that has more of what is around, or set up poles that two LiDARs see",
+            f"the surfaces of the map that the LiDAR sees do not determine its whole pose{sizes}; "
+            "use a map with more of the surroundings, or set up poles that two LiDARs see",
             values,
         )
     if refusal.code in ("ambiguous", "no_overlap"):
@@ -63,7 +64,7 @@ def of_map(refusal: Refusal) -> Refusal:
 
 
 def _hardly_contradicted(values: Mapping[str, float | int | str]) -> bool:
-    """Whether enough was counted, and no more speaks against a pose than may."""
+    """Whether enough was counted, and the contradictions to a pose are within the limit."""
     against = int(values["contradicting"]) + int(values["missing"])
     total = int(values["agreeing"]) + against
     return total >= MIN_TOTAL and against <= MAX_CONTRADICTED * total

@@ -1,4 +1,4 @@
-"""Under which of two poses the surfaces of both clouds fit each other better, and how surely."""
+"""Comparison of two poses by the fit of the surfaces of both clouds, and its significance."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from ..surfaces.patch_pairs import CLUSTER_SIDE, MAX_NORMAL_ANGLE, labels_of
 from ..surfaces.patches import SPAN, Patches, selected, surface_patches
 
 NEAR_POLES = 10.0
-"""Surfaces so near to a pole count for `check_near_poles`, metres: what poles say of the pose is
-most certain there."""
+"""Distance from a pole up to which `check_near_poles` uses surfaces, metres: the pose from the
+poles is most accurate there."""
 
-MAX_WORSE, SURELY = 0.05, 2.0
-"""Surfaces near the poles conflict with a refined pose where they lie further apart under it than
-under that of the poles: by this mean difference of their losses, and so many times its own 1 σ. In
-45 honest recordings of the simulator's field (six scenes, seeds 0 to 7) the mean difference was
-0.0007 at most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
+MAX_WORSE, MIN_SIGMAS = 0.05, 2.0
+"""Surfaces near the poles conflict with a refined pose if they are farther from each other under it
+than under that of the poles: by this mean difference of their losses, and by this many times its 1
+σ. In 45 honest recordings of the simulator's field (six scenes, seeds 0 to 7) the mean difference
+was 0.0007 at most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
 
 
 def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) -> None:
-    """Refuse a refined pose under which ground and walls near the poles lie further apart.
+    """Refuse a refined pose under which ground and walls near the poles fit worse.
 
-    Far surfaces may lead the refinement away; near the poles their own pose is hardly off, and what
-    stands there must lie together under the refined one at least as well: the poles' pose with what
-    was recorded, the refined one without the errors of the LiDARs that were found along with it.
+    Far surfaces may bias the refinement. Near the poles the pose from the poles is hardly off,
+    and the surfaces there must fit at least as well under the refined one: the former is applied
+    to the recorded points, the latter to points corrected for the estimated errors of the LiDARs.
 
     Parameters
     ----------
     aligned, refined
-        The poles' pose, and the refined one; None where the scene had nothing to say.
+        The pose from the poles, and the refined one; None if the scene gave no information.
 
     Raises
     ------
@@ -59,27 +59,27 @@ def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) 
         for patches, each in ((refined.corrected, T), (refined.surfaces, T_poles))
     )
     worse, sigmas = float(np.mean(own - by_poles)), _studentised(own - by_poles, places)
-    if worse <= MAX_WORSE or sigmas <= SURELY:
+    if worse <= MAX_WORSE or sigmas <= MIN_SIGMAS:
         return
-    apart = se3.difference(T_poles, T)
+    moved = se3.difference(T_poles, T)
     raise Refusal(
         "scene_contradicts",
-        f"far surfaces lead the pose {error(apart.translation, 'm')} and "
-        f"{error(apart.rotation, 'rad')} away from the poles, but ground and walls within "
-        f"{NEAR_POLES:g} m of the poles fit worse there, by {sigmas:.1f} σ ({SURELY:g} are "
-        "allowed): record where more stands around, or keep to the poles with --no-refine",
-        {"worse": worse, "sigmas": sigmas, "allowed": SURELY, "places": int(places.max()) + 1},
+        f"far surfaces move the pose {error(moved.translation, 'm')} and "
+        f"{error(moved.rotation, 'rad')} away from the poles, but ground and walls within "
+        f"{NEAR_POLES:g} m of the poles fit worse there, by {sigmas:.1f} σ ({MIN_SIGMAS:g} are "
+        "allowed): record where there are more objects, or use only the poles with --no-refine",
+        {"worse": worse, "sigmas": sigmas, "allowed": MIN_SIGMAS, "places": int(places.max()) + 1},
     )
 
 
 def preferences(
     target: PointCloud, source: PointCloud, T: Array, others: Sequence[Array]
 ) -> tuple[float, ...]:
-    """Say how much better the surfaces fit under one pose than under each of some others.
+    """How much better the surfaces fit under one pose than under each of some others.
 
     Every patch of the source has a loss ``r²/(r² + w²)`` by its distance r from the target's
-    surface, 1 where it meets none. The difference of the losses under both poses is summed over
-    all patches, in units of its own 1 σ; patches at one place may be correlated in any way.
+    surface, 1 if there is none near. The difference of the losses under both poses is summed over
+    all patches, in units of its 1 σ; patches at one place may be correlated in any way.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def preferences(
     Returns
     -------
     tuple of float
-        Positive where the first pose fits better; 0 where the clouds do not tell.
+        Positive if the first pose fits better; 0 if the clouds give no information.
     """
     patches = surface_patches(target), surface_patches(source)
     if min(len(one.centres) for one in patches) == 0:
@@ -117,6 +117,6 @@ def _losses(target: Patches, tree: cKDTree, source: Patches, T: Array) -> Array:
 
 
 def _studentised(gains: Array, places: IntArray) -> float:
-    """Sum of the gains (M,) over its 1 σ, with those of one place taken together."""
+    """Sum of the gains (M,) over its 1 σ, with those of one place combined."""
     by_place = np.bincount(places, gains)
     return float(by_place.sum() / max(float(np.linalg.norm(by_place)), 1e-12))

@@ -1,16 +1,16 @@
-"""Whether a cloud is mirrored, scaled or in another unit: named, and never put right.
+"""Whether a cloud is mirrored, scaled or in another unit: reported, and never corrected.
 
-After a refusal the poles are matched again with one cloud mirrored, and with one cloud scaled. What
-is found counts only where the scene then agrees well, and clearly better than under any rigid
-motion: under those that the poles allow, and under those that come nearest to what was found, since
-a place may be its own mirror image but for a few things in it. It never gives a pose.
+After a refusal the poles are matched again with one cloud mirrored, and with one cloud scaled. A
+result is used only if the scene then agrees well, and clearly better than under
+any rigid motion: those that the poles allow, and those nearest to the result, since a
+place may be its own mirror image except for a few objects. It never gives a pose.
 
-Then each cloud is read in other units. A cloud in feet looks like one in metres, where a pole of
-4 cm is as thick as one of 13 cm. So what was given of the poles tells the unit: where a cloud shows
-poles that are as wide as that, and they and the scene fit the other cloud, it is in that unit.
-Where both clouds show such poles in one other unit and none in metres, the coordinates are in that
-unit, or the poles are as many times thicker than was said. Which of both it is, nobody can tell
-from the clouds: all is then as large as it would be.
+Then each cloud is read in other units. A cloud in feet looks like one in metres in which a
+pole of 4 cm is 13 cm thick. So the given radius of the poles shows the unit: if a cloud read in
+a unit shows poles of that width, and they and the scene fit the other cloud, it is in
+that unit. If both clouds show such poles in one other unit and none in metres, the coordinates
+are in that unit, or the poles are thicker than stated by the same factor. The clouds do not
+show which of both is the case: everything is scaled alike.
 """
 
 from __future__ import annotations
@@ -51,17 +51,18 @@ UNITS: tuple[Unit, ...] = ("ft", "in", "cm", "mm")
 """Units that coordinates may be in."""
 
 LEVEL = 0.5
-"""Cosine between the LiDARs' axes from which both stand upright, or one is upside down."""
+"""Cosine between the LiDARs' axes from which both are upright, or one is upside down."""
 
 WIDTHS = 0.75, 2.0
-"""Half the width of the returns of a pole, across the beam, of the radius that was given. In the
+"""Half the width of the returns of a pole, across the beam, in units of the given radius. In the
 right unit it was 0.81 to 1.68 of it in 98 simulated clouds, since beams are wide, in another up to
 0.70, and 0.71 to 0.94 where poles of 50 mm in metres were read in feet as 20 mm (corridors, streets
 and harbors of `benchmarks/units.py`, seeds 0 to 11, and the street that `simulate --seed 1` draws).
 """
 
 WIDTH_QUANTILES = 0.05, 0.95
-"""Between these the returns of a pole are counted to its width: one beside it is no matter."""
+"""The width of a pole is taken between these quantiles of its returns, so that a single return next
+to it has no effect."""
 
 Thresholds = tuple[float | None, float | None]
 
@@ -72,9 +73,9 @@ class Reading(NamedTuple):
     Attributes
     ----------
     scan
-        With two poles or more, which are as wide as their radius.
+        With two poles or more, whose width agrees with their radius.
     radius_before
-        Of these poles as the cloud was read before.
+        Of these poles in the cloud as it was read before.
     """
 
     scan: Scan
@@ -89,7 +90,7 @@ def explain(
     radius: float,
     thresholds: Thresholds = (None, None),
 ) -> Refusal:
-    """Say of a refusal where a mirrored or scaled cloud is its cause.
+    """Replace a refusal if a mirrored or scaled cloud is its cause.
 
     Parameters
     ----------
@@ -98,17 +99,17 @@ def explain(
     placements
         What was found.
     hypotheses
-        Rigid poses from the source of the first placement; empty where the poles gave none.
+        Rigid poses from the source of the first placement; empty if the poles gave none.
     radius
         Of the poles, metres.
     thresholds
-        Intensity from which a return counts as retro-reflective, in each cloud.
+        Intensity from which a return is treated as retro-reflective, in each cloud.
 
     Returns
     -------
     Refusal
-        ``mirrored``, ``wrong_scale`` or ``wrong_unit``; the same as was given where none is found,
-        with a hint where another unit, or other poles, would explain it.
+        ``mirrored``, ``wrong_scale`` or ``wrong_unit``; the given one if no such cause is found,
+        with a hint if another unit, or other poles, would explain it.
     """
     if refusal.code not in EXPLAINED or not placements:
         return refusal
@@ -131,7 +132,7 @@ def explain(
 
 
 def check_unit(placement: Placement, *, radius: float, thresholds: Thresholds) -> None:
-    """Refuse an answer without two confirmed poles where another unit shows poles that fit.
+    """Refuse an answer without two confirmed poles if another unit shows poles that fit.
 
     Parameters
     ----------
@@ -148,7 +149,9 @@ def check_unit(placement: Placement, *, radius: float, thresholds: Thresholds) -
     if min(len(scan.poles) for scan in placement.scans) > 1:
         return
     read = _read_in(placement, [METRES[unit] for unit in UNITS], radius, thresholds)
-    doubt = Refusal("wrong_unit", "in metres, the clouds do not show two poles that both see", {})
+    doubt = Refusal(
+        "wrong_unit", "in metres, the clouds do not show two poles that both LiDARs see", {}
+    )
     found = _in_common_unit(placement, read, radius, doubt, _in_no_metres(placement))
     if found is not None:
         raise found
@@ -163,12 +166,12 @@ def _read_in(
 
 
 def check_similarity(refined: Refinement | None, placements: Sequence[Placement], T: Array) -> None:
-    """Refuse an answer whose surfaces want another scale, or whose clouds fit better mirrored.
+    """Refuse an answer whose surfaces need another scale, or whose clouds fit better mirrored.
 
     Parameters
     ----------
     refined
-        What the scene made of the pose.
+        The pose refined by the scene.
     placements
         What was found; the first is tried mirrored.
     T
@@ -189,10 +192,11 @@ def check_similarity(refined: Refinement | None, placements: Sequence[Placement]
 
 
 def unit_of_one(cloud: PointCloud, radius: float) -> tuple[Unit, Scan] | None:
-    """Find the unit of one cloud whose ranges are none in metres, by the poles that it shows in it.
+    """Find the unit of one cloud whose ranges cannot be metres, by the poles that it shows in that
+    unit.
 
-    Poles alone do not tell it of one cloud: in feet, bollards and signs are as thin as poles. Of 72
-    clouds in metres without poles, 4 showed two (`benchmarks/units.py`, seeds 1000 to 1035).
+    Poles alone do not show the unit of one cloud: in feet, bollards and signs are as thin as poles.
+    Of 72 clouds in metres without poles, 4 showed two (`benchmarks/units.py`, seeds 1000 to 1035).
 
     Parameters
     ----------
@@ -204,8 +208,8 @@ def unit_of_one(cloud: PointCloud, radius: float) -> tuple[Unit, Scan] | None:
     Returns
     -------
     tuple of Unit and Scan, or None
-        None where its ranges may be metres, where it shows poles in metres, and where no unit or
-        several show some.
+        None if its ranges may be metres, if it shows poles in metres, or if no unit or several
+        units show some.
     """
     if cloud.intensity is None or (oddity_of(cloud) is None and not beyond_sensors(cloud)):
         return None
@@ -218,7 +222,7 @@ def unit_of_one(cloud: PointCloud, radius: float) -> tuple[Unit, Scan] | None:
 
 
 def beyond_sensors(cloud: PointCloud) -> float | None:
-    """The longest range of all sensors that fit, where 1 % of a cloud lies beyond; else None."""
+    """The longest range of all sensors that fit, if 1 % of a cloud is beyond it; else None."""
     sensors = guess_sensors(cloud)
     if not sensors:
         return None
@@ -228,7 +232,7 @@ def beyond_sensors(cloud: PointCloud) -> float | None:
 
 
 def _read_times(size: float, scan: Scan, threshold: float | None, radius: float) -> Reading | None:
-    """Multiply a cloud; None where the place or the poles are then of no likely size."""
+    """Multiply a cloud; None if the place or the poles then have no likely size."""
     cloud = scan.cloud
     if len(cloud) == 0 or np.abs(cloud.xyz).max() > se3.FARTHEST:
         return None
@@ -250,7 +254,7 @@ def _read_times(size: float, scan: Scan, threshold: float | None, radius: float)
 
 
 def _in_no_metres(placement: Placement) -> Refusal | None:
-    """Say which clouds have ranges that are no metres; None where both may be metres."""
+    """Report which clouds have ranges that cannot be metres; None if both may be metres."""
     named = zip(("target", "source"), placement.scans, strict=True)
     odd = {name: found for name, scan in named if (found := oddity_of(scan.cloud))}
     for name, found in odd.items():
@@ -266,8 +270,8 @@ def _in_no_metres(placement: Placement) -> Refusal | None:
     options = " or ".join(_options(unit, *odd) for unit in likely.units)
     return Refusal(
         "wrong_unit",
-        f"half of {whose} are beyond {min(each.half for each in odd.values()):,.0f}, which no "
-        f"LiDAR sees in metres: they look like {likely.candidates}; if they are, read them with "
+        f"half of {whose} are beyond {min(each.half for each in odd.values()):,.0f}, too far "
+        f"for a LiDAR in metres: they look like {likely.candidates}; if they are, read them with "
         f"{options}",
         {"lidars": " and ".join(odd), "half": likely.half, "units": " or ".join(likely.units)},
     )
@@ -280,14 +284,15 @@ def _in_common_unit(
     refusal: Refusal,
     odd: Refusal | None,
 ) -> Refusal | None:
-    """Say in which one unit both clouds show poles; nothing else tells feet from thicker poles."""
+    """Find the single unit in which both clouds show poles; only this distinguishes feet from
+    thicker poles."""
     fitting = []
     for unit in UNITS:
         target, source = read[METRES[unit]]
         if target is None or source is None:
             continue
         fit = find_fit(replace(placement, target=target.scan, source=source.scan))
-        # Clouds that are in two units are recognised by what brings one to the other.
+        # Clouds in two different units are recognised by the factor between them.
         if fit is not None and abs(np.log(fit.factor)) <= LEAST_CHANGE:
             fitting.append((unit, target, source, fit.agreed))
     if len(fitting) != 1:
@@ -297,7 +302,7 @@ def _in_common_unit(
     said = (
         f"read as {NAMES[unit]}, the target shows {len(target.scan.poles)} poles of radius "
         f"{radius:g} m and the source {len(source.scan.poles)}, which fit each other, and "
-        f"{agreed.agreeing} of {agreed.total} patches off the ground agree"
+        f"{agreed.agreeing} of {agreed.total} patches above the ground agree"
     )
     values = {"unit": unit, "unit_m": METRES[unit], "agreeing": agreed.agreeing}
     if odd is not None or thicker > MAX_RADIUS:
@@ -319,19 +324,19 @@ def _options(unit: Unit, *lidars: str) -> str:
 def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal:
     agreed = found.agreed
     figures = {"agreeing": agreed.agreeing, "contradicting": agreed.contradicting}
-    shown = f"{agreed.agreeing} of {agreed.total} patches off the ground then agree"
+    shown = f"{agreed.agreeing} of {agreed.total} patches above the ground then agree"
     if rigid is not None:
         figures["rigid_agreeing"] = rigid.agreed.agreeing
         figures["rigid_contradicting"] = rigid.agreed.contradicting
         shown += f", {rigid.agreed.agreeing} of {rigid.agreed.total} under the best rigid motion"
     if found.factor > 0:
-        return _wrong_scale(found.factor, f"{shown}; bring both clouds to metres", figures)
-    # As far as the LiDARs' own axes tell: two horizontal ones differ by a rotation.
+        return _wrong_scale(found.factor, f"{shown}; convert both clouds to metres", figures)
+    # As far as the LiDARs' axes show: two horizontal ones differ by a rotation.
     moved = found.T[:3, :3] @ changed_cloud(placement.source.cloud, found.factor).axis
     cosine = float(placement.target.cloud.axis @ moved)
     axis, words = (
         "vertical",
-        "the vertical axis, or a horizontal one where a LiDAR hangs upside down,",
+        "the vertical axis, or a horizontal one if a LiDAR is mounted upside down,",
     )
     if abs(cosine) < LEVEL:
         axis, words = "unknown", "one axis"
@@ -339,8 +344,8 @@ def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal
         axis, words = "horizontal", "one horizontal axis"
     return Refusal(
         "mirrored",
-        f"{words} of one of the two clouds is reversed: {shown}; look at the driver's axes "
-        "(left-handed?), and at what converted the files",
+        f"{words} of one of the two clouds is reversed: {shown}; check the driver's axes "
+        "(left-handed?), and the program that converted the files",
         {"axis": axis, "lidar": "one of the two", **figures},
     )
 
@@ -348,7 +353,8 @@ def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal
 def _wrong_scale(
     factor: float, because: str, figures: dict[str, float] | dict[str, int], error: str = ""
 ) -> Refusal:
-    """Refuse by a scale, and name the unit that one of two clouds is in where it is of one."""
+    """Refuse because of a scale, and name the unit of one of two clouds if the scale is that of a
+    unit."""
     unit = next(
         (u for u in UNITS if abs(abs(np.log(factor)) + np.log(METRES[u])) < LEAST_CHANGE), None
     )

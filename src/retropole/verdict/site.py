@@ -1,4 +1,4 @@
-"""What makes the answer of a site weak that is good enough to give, and what conflicts with it."""
+"""Weaknesses of an accepted answer for a site, and observations that conflict with it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..base.description import Site
 from ..base.errors import Reason, Refusal, refusing_of
 from ..base.quantities import at_most
 from ..base.uncertainty.confirmation import Confirmation
-from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
+from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_certainly_met
 from ..hypotheses.choice import ambiguous
 from ..hypotheses.correspondence import MIN_ANGLE, widest_angle
 from ..hypotheses.evidence import MAX_WRONG, check_confirmation, confirm
@@ -27,18 +27,18 @@ from ..hypotheses.placements import PairedPlacement
 from ..hypotheses.scans import SiteScans
 from . import check_angles, check_noise, check_returns, check_sensor, check_sway
 
-OPEN = 1e-5
-"""A loop is open where its misclosure is as large by chance less often than this."""
+LOOP_SIGNIFICANCE = 1e-5
+"""A loop is open if the probability of a misclosure of its size by chance is smaller than this."""
 
 CHECKED = 0.01
-"""Least redundancy of one of a LiDAR's recordings: below, nothing checks its pose. A precise LiDAR
-among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
+"""Least redundancy of one of a LiDAR's recordings: below, there is no check of its pose. A
+precise LiDAR among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
 
 
 def check_decided(
     site: Site, choices: Choices, pairs: Sequence[Pair], poles: Sequence[Array]
 ) -> None:
-    """Refuse where several choices of the hypotheses go together as well.
+    """Refuse if several choices of the hypotheses are equally consistent.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def check_decided(
     if not choices.rivals:
         raise Refusal(
             "ambiguous_loop",
-            "too many arrangements of the LiDARs are possible to tell them apart; add a pole or a "
+            "too many arrangements of the LiDARs are possible to distinguish them; add a pole or a "
             "placement that several of them see",
             {"rivals": 0},
         )
@@ -65,15 +65,15 @@ def check_decided(
     around = "" if loop is None else " around " + " – ".join(site.lidars[i].name for i in loop)
     raise Refusal(
         "ambiguous_loop",
-        f"{1 + len(choices.rivals)} arrangements fit as well{around}; they differ in "
-        f"{', '.join(names)}: lean the poles so that no half turn lays them on each other, or add "
-        "another pole that these LiDARs see with others",
+        f"{1 + len(choices.rivals)} arrangements fit equally well{around}; they differ in "
+        f"{', '.join(names)}: lean the poles so that no half turn maps them onto each other, or "
+        "add another pole that these LiDARs see with others",
         {"rivals": len(choices.rivals), "lidars": ", ".join(names)},
     )
 
 
 def _loop_through(moved: Sequence[int], pairs: Sequence[Pair]) -> list[int] | None:
-    """A LiDAR that may lie elsewhere, with those that it shares poles with."""
+    """A LiDAR that may have another pose, with those that see poles in common with it."""
     for i in moved:
         others = [
             a if b == i else b
@@ -88,12 +88,12 @@ def _loop_through(moved: Sequence[int], pairs: Sequence[Pair]) -> list[int] | No
 def confirm_links(
     site: Site, scans: SiteScans, adjusted: Adjusted, pairs: Sequence[Pair]
 ) -> Iterator[Reason]:
-    """Hold the poses against what stands in the scenes, link by link of all LiDARs.
+    """Check the poses against the objects in the scenes, for every link between LiDARs.
 
     Yields
     ------
     Reason
-        ``not_confirmed`` where two poles alone link some LiDARs to all others, and the scene does
+        ``not_confirmed`` if two poles alone link some LiDARs to all others, and the scene does
         not confirm the link.
 
     Raises
@@ -113,14 +113,15 @@ def confirm_links(
             poles = "two poles alone link" if len(link.poles) > 1 else "one pole alone links"
             yield Reason(
                 "not_confirmed",
-                f"{poles} {names}, and their surroundings do not tell (chance of a "
+                f"{poles} {names}, and the surroundings do not decide (chance of a "
                 f"wrong pose {100 * wrong:.0f} %): add a pole or a placement that both see",
                 {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
             )
 
 
 def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmation:
-    """Count what stands in the scenes of two LiDARs, under their adjusted poses and others."""
+    """Count the objects in the scenes of two LiDARs that agree under their adjusted poses and
+    others."""
     i, j = pair.lidars
     T = se3.inverse(adjusted.end.T[i]) @ adjusted.end.T[j]
     shared = [pole for pole in adjusted.datum.poles if {i, j} <= pole.seen.keys()]
@@ -137,12 +138,12 @@ def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmat
         own = Hypothesis(match, None, None, 0.0, 0.0, 0.0)
         paired.append(PairedPlacement(Placement(target, source), own))
     if len(scans.by_lidar) > 2:
-        # The poles of many placements check each other: the place is asked once.
+        # The poles of many placements check each other: the surroundings are compared once.
         paired = [max(paired, key=lambda each: len(each.hypothesis.match.pairs))]
-    # What does not recur in all placements is no rival.
+    # A hypothesis that does not recur in all placements is no rival.
     most = max((len(each.poles) for each in pair.hypotheses), default=0)
     recurring = [each for each in pair.hypotheses if len(each.poles) == most]
-    # All other angles about a pole are asked, where the place gives that.
+    # All other angles about a pole are compared, if the angle is from the surroundings.
     rivals = recurring if pair.by_place else recurring[:4]
     others = [each for each in rivals if _is_other(each.T, T)]
     return confirm(paired, T, others, np.random.default_rng(0), trusted=len(shared) > 2)
@@ -164,9 +165,10 @@ def weaknesses(
     loops: Sequence[LoopClosure],
     lidars: Sequence[LidarPose],
 ) -> Iterator[Reason]:
-    """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
+    """Report weaknesses of an answer: open loops, poses without a check, poses that are not
+    accurate."""
     yield from _by_lidars(site, scans, adjusted)
-    yield from radius_denied(adjusted)
+    yield from radius_conflict(adjusted)
     yield from poor_fit(site, adjusted)
     yield from _open_loops(site, loops)
     yield from _unchecked(site, adjusted.tests)
@@ -179,13 +181,13 @@ def weaknesses(
     yield from not_fit(site, lidars)
 
 
-def radius_denied(adjusted: Adjusted) -> Iterator[Reason]:
-    """Say where the returns conflict with the radius that was given."""
+def radius_conflict(adjusted: Adjusted) -> Iterator[Reason]:
+    """Report a conflict of the returns with the given radius."""
     return check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
 
 
 def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
-    """Say what makes the poles of single LiDARs, and of two that they link, weak."""
+    """Report weaknesses of the poles of single LiDARs, and of pairs that they link."""
     poles = adjusted.datum.poles
     noise = np.exp(adjusted.aligned.maximum.point.log_noise[:, 0])
     for i, lidar in enumerate(site.lidars):
@@ -200,7 +202,7 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
     by_place = {link for link, _ in reported}
     for link in find_links(adjusted):
         names = f"{site.lidars[link.lidars[0]].name} and {site.lidars[link.lidars[1]].name}"
-        # Of poles that leave some of a pose to the place the note below says so.
+        # For poles that do not determine the whole pose, the note below states it.
         if len(link.poles) > 1 and link.lidars not in by_place:
             yield from check_angles([poles[k].direction for k in link.poles], names)
     yield from (reason for _, reason in reported)
@@ -208,12 +210,12 @@ def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Rea
 
 
 def _by_place(site: Site, adjusted: Adjusted) -> Iterator[tuple[tuple[int, int], Reason]]:
-    """Say of which pairs the poles leave a part of the pose to the place."""
+    """Report the pairs for which a part of the pose is from the surroundings."""
     poles = adjusted.datum.poles
     for each in adjusted.datum.dependent:
         across = each.across(poles)
         if len(across) > 1 and widest_angle([poles[k].direction for k in across]) >= MIN_ANGLE:
-            # With what other LiDARs see the poles tell all of it.
+            # With the observations of other LiDARs the poles determine the whole pose.
             continue
         hang = ", ".join(site.lidars[i].name for i in sorted(each.lidars))
         link = "one pole links" if len(across) == 1 else f"{len(across)} poles, all parallel, link"
@@ -222,16 +224,16 @@ def _by_place(site: Site, adjusted: Adjusted) -> Iterator[tuple[tuple[int, int],
             (i, j),
             Reason(
                 "by_place",
-                f"{link} {hang} to the others, by {each.names(site)}: a part of the pose is open, "
-                "which the place around gives; a second pole that leans by 15° or more against "
-                "the first checks it",
+                f"{link} {hang} to the others, by {each.names(site)}: the poles do not determine "
+                "the whole pose, the rest is from the surroundings; a second pole that leans by "
+                "15° or more against the first would check it",
                 {"lidars": hang, "poles": len(across)},
             ),
         )
 
 
 def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
-    """Say how many of each LiDAR's poles are doubtful by themselves."""
+    """Report how many of each LiDAR's poles are doubtful by themselves."""
     counts = {}
     for i, lidar in enumerate(site.lidars):
         own = [pole for scan in scans.used(i) for pole in scan.candidates]
@@ -243,18 +245,19 @@ def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reas
         those = ", ".join(f"{count} of {name}'s" for name, count in counts.items())
         yield Reason(
             "doubtful_poles",
-            f"{those} poles are doubtful by themselves, near a wall, beside something bright, with "
-            "few returns or dim tape; other LiDARs see the same, and the scenes coincide",
+            f"{those} poles are doubtful, near a wall, next to a bright object, with "
+            "few returns or dim tape; other LiDARs see the same poles, and the scenes coincide",
             {"poles": sum(counts.values()), "lidars": ", ".join(counts)},
         )
 
 
 def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterator[Reason]:
-    """Say which observation fits worst, where one fits poorly and none was left out for it.
+    """Report the observation that fits worst, if one fits poorly and none was left out for it.
 
-    Of two LiDARs alone (`of_two`) how scene and poles agree says more than the test of either.
+    For a pair (`of_two`), the agreement of scene and poles is more informative than the test of
+    either.
     """
-    # A LiDAR's test contains those of all its poles: reported where none of them says more.
+    # A LiDAR's test contains those of all its poles: reported if none of them is more specific.
     single = [test for test in adjusted.tests if test.kind != "lidar"]
     worst = worst_test(single, POOR) or worst_test(() if of_two else adjusted.tests, POOR)
     if worst is None:
@@ -262,22 +265,21 @@ def poor_fit(site: Site, adjusted: Adjusted, *, of_two: bool = False) -> Iterato
     values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}
     if worst.pole is not None:
         values |= place_of(site, adjusted.datum.poles[worst.pole])
-    why = "did a pole move a little, or is the LiDAR worse than its data sheet?"
+    why = "did a pole move slightly, or is the LiDAR worse than its data sheet?"
     surveyed = worst.pole is not None and adjusted.datum.poles[worst.pole].surveyed is not None
     if worst.kind in ("survey", "control point"):
         why = "check its coordinates"
     elif surveyed:
-        why = "did it move a little, or is it surveyed a little wrongly?"
+        why = "did it move slightly, or is its survey slightly wrong?"
     yield Reason(
         "misfit",
-        f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the most to expect): "
-        + why,
+        f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} expected at most): " + why,
         {"observation": worst.name, **values},
     )
 
 
 def _open_loops(site: Site, loops: Sequence[LoopClosure]) -> Iterator[Reason]:
-    found = [loop for loop in loops if loop.probability < OPEN]
+    found = [loop for loop in loops if loop.probability < LOOP_SIGNIFICANCE]
     if found:
         worst = max(found, key=lambda loop: loop.chi2)
         names = " – ".join(site.lidars[i].name for i in worst.lidars)
@@ -286,7 +288,7 @@ def _open_loops(site: Site, loops: Sequence[LoopClosure]) -> Iterator[Reason]:
             f"{len(found)} of {len(loops)} loops do not close; worst is {names}, by "
             f"{np.degrees(worst.rotation):.3f}° and {1000 * worst.translation:.1f} mm (χ² "
             f"{worst.chi2:.0f} with {worst.freedom} degrees of freedom)",
-            {"loops": len(found), "chi2": worst.chi2, "allowed": OPEN},
+            {"loops": len(found), "chi2": worst.chi2, "allowed": LOOP_SIGNIFICANCE},
         )
 
 
@@ -296,15 +298,16 @@ def _unchecked(site: Site, tests: Sequence[Test]) -> Iterator[Reason]:
         if own and max(own) < CHECKED:
             yield Reason(
                 "not_checked",
-                f"nothing checks {lidar.name} (redundancy {max(own):.2f}): a blunder there would "
-                "not show; add a pole, a placement, or a LiDAR that sees the same poles",
+                f"there is no check of {lidar.name} (redundancy {max(own):.2f}): a gross error "
+                "there would not be detected; add a pole, a placement, or a LiDAR that sees the "
+                "same poles",
                 {"lidar": lidar.name, "redundancy": max(own), "needed": CHECKED},
             )
 
 
 def fitness_of(site: Site, covariance: Array) -> Fitness | None:
-    """Whether a pose is as accurate as was asked for; None where nothing was, and it is usable."""
-    if site.need is None and is_surely_met(covariance, USABLE):
+    """Whether a pose is as accurate as required; None if nothing was required, and it is usable."""
+    if site.need is None and is_certainly_met(covariance, USABLE):
         return None
     return fitness(covariance, site.need or USABLE)
 
@@ -312,9 +315,9 @@ def fitness_of(site: Site, covariance: Array) -> Fitness | None:
 def not_fit(
     site: Site,
     lidars: Sequence[LidarPose],
-    helps: str = "a placement with the poles in another way",
+    helps: str = "a placement with the poles arranged differently",
 ) -> Iterator[Reason]:
-    """Say which poses are not as accurate as was asked for, and what `helps`."""
+    """Report the poses that are not as accurate as required, and what `helps`."""
     short = [one for one in lidars if one.fitness is not None and one.fitness.answer != "yes"]
     if not short:
         return

@@ -320,7 +320,7 @@ def state_site_refusal(
 
 
 def list_unusable(site: Site, scans: SiteScans, known: Refusal | None = None) -> Iterator[Reason]:
-    """Say which recordings could not be used, but for the one whose fault is `known`."""
+    """Report the recordings that could not be used, except for the one whose fault is `known`."""
     for (lidar, placement), refusal in scans.faults:
         if known is not None and refusal.message == known.message:
             continue
@@ -385,7 +385,7 @@ def _site_poles(site: Site, adjusted: Adjusted) -> tuple[SitePole, ...]:
 
 
 def _pair_check(pair: Pair, adjusted: Adjusted | None) -> PairCheck:
-    """Say how two LiDARs agree: by the tests of the poles that both see."""
+    """Summarise the agreement of two LiDARs: by the tests of the poles that both see."""
     poles = [] if adjusted is None else adjusted.datum.poles
     shared = {k for k, pole in enumerate(poles) if set(pair.lidars) <= pole.seen.keys()}
     tests = () if adjusted is None else adjusted.tests

@@ -14,7 +14,7 @@ from retropole.base.uncertainty.purpose import (
     displacement,
     displacement_bound,
     fitness,
-    is_surely_met,
+    is_certainly_met,
 )
 
 pytestmark = pytest.mark.full
@@ -128,9 +128,9 @@ def test_what_is_surely_met_is_met_and_not_only_what_could_hardly_be_missed() ->
         bound = displacement_bound(covariance, 30.0)
         for times in (0.9, 1.0, 1.5, 3.0, 6.0):
             need = Need(times * bound, 30.0)
-            if is_surely_met(covariance, need):
+            if is_certainly_met(covariance, need):
                 sure += 1
                 assert fitness(covariance, need).answer == "yes"
-        assert not is_surely_met(covariance, Need(bound, 30.0))
-        assert is_surely_met(covariance, Need(6.0 * bound, 30.0))
+        assert not is_certainly_met(covariance, Need(bound, 30.0))
+        assert is_certainly_met(covariance, Need(6.0 * bound, 30.0))
     assert sure < 60

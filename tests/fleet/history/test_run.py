@@ -62,7 +62,7 @@ def test_every_site_has_a_row(checked: Path) -> None:
     assert good.time == datetime(2026, 11, 2, 3, 0, tzinfo=UTC)
     assert good.is_usable
     assert len(good.stored_sha256) == len(good.target_sha256) == 64
-    assert "no pair that shares poles" in (rows["yard"].message or "")
+    assert "no pair with poles in common" in (rows["yard"].message or "")
     assert "not calibrated: unreadable" in (rows["damaged"].message or "")
 
 
@@ -197,11 +197,11 @@ def test_an_interrupt_loses_no_fault_that_was_met(city: Path, answers: str, tmp_
 
 def test_what_is_wrong_with_all_sites_is_no_row(city: Path, answers: str, tmp_path: Path) -> None:
     sites = find_sites([str(city)])
-    with pytest.raises(UsageError, match="is no dataset"):
+    with pytest.raises(UsageError, match="is not a dataset"):
         check_fleet(sites, str(tmp_path / "h"), here, answers=str(tmp_path))
     path = tmp_path / "sites.csv"
     path.write_text("id,target,source,result\na,t.pcd,s.pcd,result.json\n")
-    with pytest.raises(UsageError, match="take the column result out"):
+    with pytest.raises(UsageError, match="remove the column result"):
         check_fleet(find_sites([str(path)]), str(tmp_path / "h"), here, answers=answers)
     assert not (tmp_path / "h").exists()
 

@@ -80,7 +80,7 @@ def test_what_cannot_be_watched_says_why(quay: FleetSite) -> None:
         text.replace('name = "mast-b"', 'name = "mast-b"\nframes = "1:3"')
     )
     faults = {pair.site.id: pair.site.fault for pair in watched_pairs(quay)}
-    assert "a check takes whole recordings" in faults["quay/mast-a/mast-b"]
+    assert "a check needs whole recordings" in faults["quay/mast-a/mast-b"]
     (folder / "site-result.json").unlink()
     (pair,) = watched_pairs(quay)
     assert (pair.site.id, "site-result.json" in pair.site.fault) == ("quay", True)

@@ -49,7 +49,7 @@ def test_gross_errors_are_named_and_poses_are_as_certain_as_stated(
 ) -> None:
     truth, graph = drawn
     found = adjust_network(graph)
-    assert found.settled
+    assert found.converged
     named = {*left_out(found), *(k for some in found.rivals.values() for k in some)}
     sigma = np.sqrt(np.diagonal(truth.covariance, axis1=1, axis2=2))
     large = np.flatnonzero((np.abs(truth.error) > 30 * sigma).any(axis=1))
@@ -142,12 +142,12 @@ def test_parts_have_a_datum_of_their_own() -> None:
     assert [each.nodes.tolist() for each in found.components] == [[0, 1, 2], [3], [4, 5, 6]]
     assert [each.datum(range(7)) for each in found.components] == [
         "4 controls",
-        "no control: pose 3 is held",
-        "no control: pose 4 is held",
+        "no control points: pose 3 is fixed",
+        "no control points: pose 4 is fixed",
     ]
     np.testing.assert_allclose(found.covariance[[3, 4]], 0, atol=1e-11)
     np.testing.assert_allclose(found.T_world_node[[3, 4]], np.tile(np.eye(4), (2, 1, 1)), atol=1e-9)
-    assert found.settled
+    assert found.converged
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -157,7 +157,7 @@ def test_few_points_hold_what_they_can(count: int) -> None:
     world = T[some, :3, 3]
     points = ControlPoints(some, world, np.tile(np.eye(3) * 1e-8, (count, 1, 1)))
     found = adjust_network(replace(graph, points=points))
-    assert found.settled
+    assert found.converged
     np.testing.assert_allclose(found.T_world_node[some, :3, 3], world, atol=2e-3)
     between = np.linalg.inv(found.T_world_node[0]) @ found.T_world_node[3]
     np.testing.assert_allclose(between, np.linalg.inv(T[0]) @ T[3], atol=0.05)

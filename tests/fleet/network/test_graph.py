@@ -40,7 +40,7 @@ def test_a_part_without_control_holds_its_first_node() -> None:
     assert len(first.points) == 4
     assert not len(first.held)
     assert second.nodes.tolist() == [4, 5, 6, 7]
-    assert second.datum(range(8)) == "no control: pose 4 is held"
+    assert second.datum(range(8)) == "no control points: pose 4 is fixed"
 
 
 def test_points_hold_what_they_can() -> None:

@@ -43,7 +43,7 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ("a,s,,,,,,\n", "row 1: site and lidar need each other"),
+        ("a,s,,,,,,\n", "row 1: site and lidar must be given together"),
         ("a,,,,,,,\n", "row 1: expected site and lidar"),
         ("a,s,target,,,,0.1,\n", "row 1: expected site and lidar"),
         (",s,target,,,,,\n", "row 1, node: ''"),

@@ -101,7 +101,7 @@ def test_a_folder_without_files_reports_it(tmp_path: Path, monkeypatch: pytest.M
         assert_cloud(source.newest(LONG), 1)
         monkeypatch.setattr(files, "QUIET", 0.0)
         assert nothing(source)
-        assert source.waits_for == f"{tmp_path}: no new file comes"
+        assert source.waits_for == f"{tmp_path}: no new file appears"
 
 
 @pytest.mark.parametrize("kind", ["npy", "csv"])
@@ -241,7 +241,7 @@ def test_of_a_long_mcap_the_newest_message_alone_is_decoded(
     monkeypatch.setattr(files, "READ_ON", 0.0)
     with closing(BagSource(path)) as source:
         assert source.newest(0) is None
-        assert source.waits_for == f"{path}: what was recorded before is still being read"
+        assert source.waits_for == f"{path}: older data are still being read"
         frame = required(source.newest(LONG))
         assert decoded == [frame.number]
         assert frame.number >= 27
@@ -461,7 +461,9 @@ def test_a_pipe_in_a_folder_is_left_out_with_a_word(
         assert_cloud(source.newest(LONG), 1)
         monkeypatch.setattr(files, "QUIET", 0.0)
         assert nothing(source)
-        assert source.waits_for.endswith("no new file comes; 2 names left out, as a.npy, no file")
+        assert source.waits_for.endswith(
+            "no new file appears; 2 names left out, such as a.npy, not a file"
+        )
 
 
 def test_what_cannot_be_read_while_it_is_written(tmp_path: Path) -> None:

@@ -194,15 +194,15 @@ def test_sweeps_that_nobody_took_are_left_out_and_counted(
 
 def test_other_packets_are_counted_and_reported(velodyne: tuple[VelodyneSource, int]) -> None:
     source, port = velodyne
-    assert source.waits_for == f"port {port}: no packet came"
+    assert source.waits_for == f"port {port}: no packet received"
     with sender(port) as send:
         send([bytes(1248)] * 120)
         until(lambda: number_taken(source) == 120)
-        expected = "120 packets came, none of a Velodyne: 1206 bytes expected, 1248 came"
+        expected = "120 packets received, none of a Velodyne: 1206 bytes expected, 1248 came"
         assert source.waits_for == f"port {port}: {expected}"
         send([bytes(1206)] * 200 + [b""] * 3)
         until(lambda: number_taken(source) == 323)
-        assert "1206 that begin otherwise and 1248 and 0 came" in source.waits_for
+        assert "1206 with another beginning and 1248 and 0 came" in source.waits_for
         assert source.newest(0) is None
 
 
@@ -338,7 +338,7 @@ def test_only_senders_that_are_named_are_taken() -> None:
     with closing(VelodyneSource(port, HOME, ["127.0.0.2"])) as source, sender(port) as send:
         send(payloads(path)[:50])
         until(lambda: source._others >= 40)
-        assert "left out, as --from names another" in source.waits_for
+        assert "left out, since --from gives another" in source.waits_for
     with closing(VelodyneSource(port, HOME, ["127.0.0.2", HOME])) as source, sender(port) as send:
         send(payloads(path))
         frame = required(source.newest(LONG))
@@ -463,7 +463,9 @@ def test_angles_that_come_to_another_port_are_used(
     with closing(source_of(text)) as source, sender(port) as send:
         assert source.name == text
         send(packets)
-        with pytest.raises(ReadError, match=r"Ruby says in DIFOP packets .* and none came"):
+        with pytest.raises(
+            ReadError, match=r"Ruby sends .* in DIFOP packets, and none was received"
+        ):
             source.newest(LONG)
         with sender(port if where == "same" else told) as tell:
             tell([b"of another", difop(up, [0.0] * 128)])

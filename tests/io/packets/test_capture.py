@@ -148,8 +148,8 @@ def test_metadata_of_an_ouster_are_found_next_to_it(tmp_path: Path, name: str) -
     [
         (b"", "is empty"),
         (b"no capture of packets", "expected a capture"),
-        (b"\x0a\x0d\x0d\x0a" + bytes(40), "no whole packet in the 44 bytes"),
-        (b"\xd4\xc3\xb2\xa1" + bytes(28) + b"\xff" * 8, "no whole packet in the 16 bytes"),
+        (b"\x0a\x0d\x0d\x0a" + bytes(40), "no complete packet in the 44 bytes"),
+        (b"\xd4\xc3\xb2\xa1" + bytes(28) + b"\xff" * 8, "no complete packet in the 16 bytes"),
         (b"\xd4\xc3\xb2\xa1\x02\x00\x04\x00" + bytes(12) + b"\1\0\0\0", "metadata"),
     ],
 )

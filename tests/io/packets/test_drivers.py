@@ -94,7 +94,7 @@ def test_packets_come_out_as_they_went_in(kind: str, k: int, is_ros1: bool) -> N
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", bytes(5000), b"\xff" * 5000])
 def test_other_bytes_are_no_message(data: bytes) -> None:
     pytest.importorskip("rosbags", reason="needs pip install 'retropole[ros]'")
-    with pytest.raises(ReadError, match="is no pandar_msgs/msg/PandarScan"):
+    with pytest.raises(ReadError, match="is not a known pandar_msgs/msg/PandarScan"):
         list(datagrams(iter([(0, data, "cdr")]), "pandar_msgs/msg/PandarScan"))
 
 

@@ -158,7 +158,9 @@ def test_angles_of_a_leishen_of_version_3() -> None:
 def test_without_angles() -> None:
     packets, _, _ = _made("Bpearl", np.random.default_rng(1))
     sent, model = as_array(packets), _named("Bpearl")
-    with pytest.raises(ReadError, match=r"RoboSense Bpearl says in DIFOP packets .* --angles FILE"):
+    with pytest.raises(
+        ReadError, match=r"RoboSense Bpearl sends .* in DIFOP packets, .* --angles FILE"
+    ):
         together(decode(model, sent, None, positions(model, sent)))
 
 

@@ -58,5 +58,5 @@ def test_other_files_are_no_corrections(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match=r"a\.dat: has 1000 bytes, expected 47"):
         read_angles(path, MODEL)
     path.write_bytes(b"Channel,Elevation,Azimuth\n1,2,3\n")
-    with pytest.raises(ReadError, match="no correction file"):
+    with pytest.raises(ReadError, match="not a correction file"):
         read_angles(path, MODEL)

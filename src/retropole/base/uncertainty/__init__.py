@@ -138,7 +138,7 @@ def source_words(name: str, sensor: str | None) -> str:
 
 
 def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
-    """Say what keeps a matrix (N, N) from being a covariance; None if nothing does.
+    """State why a matrix (N, N) is not a covariance; None if it is.
 
     One part of an uncertainty may have no variance; nobody knows a pose without error.
     """
@@ -154,7 +154,7 @@ def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
     if is_certain.any() and not is_part:
         return "a variance is zero"
     if np.abs(C[is_certain]).max(initial=0.0) > 0:
-        return "what has no variance correlates"
+        return "an entry without variance has correlations"
     scale = np.where(is_certain, 1.0, sigma)
     least = float(np.linalg.eigvalsh(C / np.outer(scale, scale))[0])
     if least < -SYMMETRIC:

@@ -97,7 +97,7 @@ def whole_percent(share: float) -> str:
 
 
 def displacement(steps: Array, distance: float) -> Array:
-    """Say how far errors of a pose move a point at most, of all points at a distance.
+    """Give the largest displacement of a point by errors of a pose, of all points at a distance.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def displacement_bounds(
     return np.array([np.quantile(_moved(*parts, each), probability) for each in distances])
 
 
-def is_surely_met(covariance: Array, need: Need) -> bool:
+def is_certainly_met(covariance: Array, need: Need) -> bool:
     """Whether a need is fulfilled with a probability of `CONFIDENCE`, whatever the distribution.
 
     By the inequality of Chebyshev, without a draw: no error moves a point by more than

@@ -53,7 +53,7 @@ class WatchedPair:
 def watched_pairs(
     site: FleetSite, answers: Mapping[str, Row] | None = None
 ) -> Iterator[WatchedPair]:
-    """Give what is watched of a site: a pair itself, of many LiDARs each pair that shared poles.
+    """Give the watched pairs of a site: a pair itself, or each pair of LiDARs with poles in common.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ def watched_pairs(
 
 
 def _unanswered(stored: Row | None) -> str:
-    """Say why a pair has no stored result among the answers; empty if it has one."""
+    """State why a pair has no stored result among the answers; empty if it has one."""
     if stored is None:
-        return "the answers have no site of this id; calibrate it"
+        return "the answers have no site with this id; calibrate it"
     if stored.kind == "site":
-        return "the answers have a site of many LiDARs of this id: give a site file"
+        return "under this id the answers have a site with several LiDARs: give a site file"
     return "" if stored.document else f"it was not calibrated: {', '.join(stored.codes)}"
 
 
@@ -90,7 +90,7 @@ def _result_of_site(site: FleetSite, answers: Mapping[str, Row] | None) -> tuple
     if answers is not None:
         row = answers.get(site.id)
         if row is None or row.document is None or row.kind != "site":
-            raise ReadError("the answers have no result of a site of this id")
+            raise ReadError("the answers have no result of a site with this id")
         return decode_site(row.document.encode()), ""
     place = site.result or folder_of(site.site)
     if exists(place, as_folder=True):
@@ -104,7 +104,7 @@ def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iter
     shared = stored_pairs(stored)
     if stored.status == "refused" or not shared:
         codes = ", ".join(reason.code for reason in stored.reasons)
-        raise ReadError(f"its stored result has no pair that shares poles ({codes})")
+        raise ReadError(f"its stored result has no pair with poles in common ({codes})")
     for both in shared:
         given: dict[str, Any] = {"result": place}
         try:
@@ -121,12 +121,12 @@ def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iter
 def _recorded(
     site: FleetSite, stored: SiteDoc, target: LidarTable, source: LidarTable
 ) -> dict[str, Any]:
-    """Take the recordings of the first placement that both have, with the options of the file."""
+    """Use the recordings of the first placement that both have, with the options of the file."""
     shared = shared_placements(target, source)
     if not shared:
         raise ReadError(f"no placement of both {target.name} and {source.name}")
     if target.frames or source.frames:
-        raise ReadError("frames: a check takes whole recordings")
+        raise ReadError("frames: a check needs whole recordings")
     recordings = (each.recordings[shared[0]] for each in (target, source))
     places = (below(folder_of(site.site), each) for each in recordings)
     return {**dict(zip(ROLES, places, strict=True)), "config": pair_config(stored, target, source)}
@@ -205,7 +205,7 @@ def _stored(site: FleetSite, check: Check, local: LocalFiles) -> Path:
     place = site.result or below(folder_of(site.target), RESULT_FILE)
     if not exists(place):
         raise ReadError(
-            f"{place}: there is no stored result; name it in a column result, or give the "
+            f"{place}: there is no stored result; give it in a column result, or give the "
             "answers of 'fleet calibrate'"
         )
     if not is_url(place):

@@ -64,7 +64,7 @@ class SiteChange:
         return self.is_decided and event.found == len(self.times) - 1
 
     def words(self, event: Event) -> str:
-        """Say what changed, since when and by how much."""
+        """Describe the change, its onset and its size."""
         since = f"{self.times[event.onset]:%Y-%m-%d}"
         new = ", new" if self.is_new(event) else ""
         if event.size is None or event.covariance is None:
@@ -77,7 +77,7 @@ class SiteChange:
         if event.kind == "moved":
             return f"moved since {since}: now {size} (1 σ{new})"
         per = " a year" if event.kind == "trend" else ""
-        unclear = "" if event.is_clear else ", or the other of step and trend"
+        unclear = "" if event.is_clear else ", or a trend instead of a step or the reverse"
         return f"{event.kind} since {since}: {size}{per} (1 σ{unclear}{new})"
 
 
@@ -166,7 +166,7 @@ def check_fleet(
         pairs += (pair for site in of_part for pair in watched_pairs(site, stored))
     by_id = {pair.site.id: pair.site for pair in pairs}
     if len(by_id) < len(pairs):
-        raise UsageError("a pair of a site is called as another site is: call that one otherwise")
+        raise UsageError("a pair of a site has the name of another site: rename that site")
     damaged: list[ReadError] = []
     files, keys = store.contents(history, damaged.append)
 
@@ -226,7 +226,7 @@ def replay(
     newest: Mapping[str, CheckRow] | None = None,
     known: store.Sites | None = None,
 ) -> Replayed:
-    """Say what changed at sites, in the order of their ids, and what of the history is damaged.
+    """Report changes at sites, in the order of their ids, and damaged parts of the history.
 
     Without ids, at all that the history has.
     `newest` has the result of each site of a run, by its id, and `known` the files that existed.
@@ -251,7 +251,7 @@ def _replayed(table: Any) -> Replayed:
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:
-    """Say what changed at one site, from all of its checks; `newest` is that of this run."""
+    """Report changes at one site, from all of its checks; `newest` is that of this run."""
     usable = store.observed(rows)
     newest = newest or max(rows, key=lambda row: (row.status != "error", row.time, row.key))
     times, watched = [row.time for row, _ in usable], watch([one for _, one in usable])
@@ -261,10 +261,10 @@ def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> Site
 def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:
     """Find out now what would make an error of every site."""
     if not partitions_in(answers):
-        raise UsageError(f"{answers}: is no dataset of 'retropole fleet calibrate'")
+        raise UsageError(f"{answers}: is not a dataset of 'retropole fleet calibrate'")
     named = next((site for site in sites if site.result), None)
     if named is not None:
         raise UsageError(
-            f"site {named.id!r}: its list names a stored result, {named.result}, and so do the "
-            "answers; take the column result out, or do without --answers"
+            f"site {named.id!r}: a stored result is given in its list, {named.result}, and in "
+            "the answers; remove the column result, or leave out --answers"
         )

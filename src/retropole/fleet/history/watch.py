@@ -1,28 +1,28 @@
-"""What changed at one site: its checks in the order of time, replayed through a filter.
+"""Changes at one site: its checks in the order of time, replayed through a filter.
 
 A check k gives a step ``y_k`` (6,) from the stored pose, which is modelled as
 
     y = level + season + slow + other + e,
 
-- *level*: what the stored pose errs by, the same in every check; it grows by a *slope* once a trend
+- *level*: the error of the stored pose, the same in every check; it grows by a *slope* once a trend
   was found.
 - *season*: a cosine and a sine of a year, zero mean and `SEASON` wide.
 - *slow*: an Ornstein-Uhlenbeck process: weather, leaves.
 - *other*: the difference of a pose found by the other method (by the scene alone, where poles
   gave the first).
-- *e*: drawn anew in each check, with the random part of its covariance times a scale.
+- *e*: independent in each check, with the random part of its covariance times a scale.
 
-In the axes that make the first check's random and common parts diagonal, all six are filtered each
-by itself; what later checks correlate there is left out. Under each of the laws `SLOW` of what
-varies slowly the site has a Kalman filter; the likeliest one decides.
+In the axes that make the first check's random and common parts diagonal, all six are filtered
+separately; correlations of later checks between these axes are neglected. For each of the models
+`SLOW` of slow variation there is a Kalman filter; the likeliest one decides.
 
 Changes show in several checks together: for onsets within the last year, a step and a trend from
 there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
 1976; Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as
-if its own scatter were that much wider. So none alone makes a change, but two that agree do. Such a
-one waits until another shows what it was: an *outlier*, where the next fits again (a lorry stood in
-view), or the first of a *step*. A change that was found becomes part of what is expected, and the
-watch goes on.
+if its scatter were that much wider. So a single one is no change, but two that agree are. An
+excluded check waits until another shows whether it is an *outlier*, if the next fits again (a
+lorry was in view), or the first of a *step*. A change that was found becomes part of the
+expectation, and the watch continues.
 """
 
 from __future__ import annotations
@@ -40,59 +40,60 @@ YEAR = 365.25
 """Days."""
 
 LEVEL, COSINE, SINE, SLOWLY, SLOPE, OTHER = range(6)
-"""What the state of an axis is made of."""
+"""Components of the state of an axis."""
 
 SEASON = np.r_[np.full(3, np.radians(0.015)), np.full(3, 0.002)]
 """1 σ of the cosine and of the sine, rad and m: a steel mast of 6 m that is 30 K warmer on one side
 than a year's mean differs in length by 2 mm."""
 
 LEVEL_FACTOR = 1.5
-"""How much wider than stated the stored pose's error may be, in σ."""
+"""Factor by which the error of the stored pose may be larger than stated, in σ."""
 
 SCALE, SCALE_CHECKS = 1.25, 8.0
-"""Prior of the ratio of a site's random scatter to what is stated, in σ, before its first check;
-and how many checks that is worth. The site's own surprises then correct it."""
+"""Prior of the ratio of a site's random scatter to the stated one, in σ, before its first check;
+and its weight in checks. The prediction errors of the site then correct it."""
 
 SLOW = {(0.25, 30.0): -1.0, (1.0, 30.0): 0.0, (4.0, 30.0): -1.0, (1.0, 90.0): -1.0}
-"""Of what varies slowly the variance relative to the random part, and the days in which it forgets;
-with the logarithm of how likely each is before the first check: the site's own checks choose."""
+"""Of the slow variation: the variance relative to the random part, and its correlation time in
+days; with the logarithm of the prior probability of each: the checks of the site choose."""
 
 SHARES, TIMES = np.array(list(SLOW)).T
 
 CHANCE = 0.001
-"""How often chance alone makes a check wait for another."""
+"""Probability that a check waits for another by chance alone."""
 
 GATE = float(chdtri(6, CHANCE))
 """χ²(6) beyond which a check waits."""
 
 MOST_WAITING = 6
-"""Checks that may wait. If no two of as many agree, that is an alarm too."""
+"""Number of checks that may wait. If no two of this number agree, that is an alarm too."""
 
 WINDOW = 400.0
 """Days back to which a change may have begun: a year and the weeks to see it."""
 
 MOST_STEPS = 40
-"""Checks back to which a step may have happened, however many there are in the window."""
+"""Number of checks back to which a step may have happened, however many there are in the window."""
 
 SPACING, FRESH = 20.0, 4
 """Days between onsets of trends that are tried: those of neighbours are hardly distinguished; but
-each of the newest checks is tried: at 5 mm a day and a check a week nothing else says what
-happens."""
+each of the newest checks is tried: at 5 mm a day and a check a week nothing else shows the
+change."""
 
 STEP, TREND = 42.0, 18.0
 """Twice the log likelihood ratio from which a step, or a trend of few days, was found, and one of
 many: trends of neighbouring onsets are almost one, so that chance makes less of them."""
 
 SHORTEST_TREND = 120.0
-"""Days a trend must have lasted: over fewer it is no other than a step, unless it is plain."""
+"""Days a trend must have lasted: over fewer it cannot be distinguished from a step, unless it is
+clear."""
 
 BEHIND = 20.0
-"""By how much less a step may be beyond its threshold than a short trend, and still be reported:
-over few checks chance makes one of the other."""
+"""Amount by which the excess of a step over its threshold may be less than that of a short trend,
+and still be reported: over few checks one may look like the other by chance."""
 
 LEAST = np.radians(0.05), 0.005
-"""A smaller change, or trend in a year, of rotation and translation, rad and m, is none: a sixth of
-the tolerance of a check, which any mast moves by from season to season."""
+"""A smaller change, or trend in a year, of rotation and translation, rad and m, is ignored: a
+sixth of the tolerance of a check, the seasonal movement of any mast."""
 
 CLEAR = 4.0
 """Difference of twice the log likelihoods from which a step and a trend are distinguished: of two
@@ -114,13 +115,13 @@ class Observed(NamedTuple):
     step
         (6,) ``[φ, δ]``, rad and m.
     random
-        (6, 6) of it what each check draws anew.
+        (6, 6) the part that is independent in each check.
     common
-        (6, 6) of it what all checks found the same way share, more or less.
+        (6, 6) the part that checks with the same method roughly have in common.
     other
-        Whether it was found another way than the first of the site.
+        Whether it was found with another method than the first of the site.
     moved
-        Whether it says by itself that the site moved: by more than its tolerance.
+        Whether this check alone states that the site moved: by more than its tolerance.
     """
 
     days: float
@@ -133,14 +134,14 @@ class Observed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """What was found in the checks of a site.
+    """A change found in the checks of a site.
 
     Attributes
     ----------
     kind
         ``step``: the level changed; ``trend``: it changes steadily; ``outlier``: one check is off,
         and the next is not; ``unsettled``: checks are off, and no two agree; ``moved``: two
-        checks in a row, or three, say by themselves that the site is not where it was.
+        checks in a row, or three, each state that the site has moved.
     onset
         Number of the first check that shows it.
     found
@@ -153,7 +154,7 @@ class Event:
     statistic
         Twice the log likelihood ratio against no change; of an outlier, or *moved*, its χ².
     lead
-        By how much that is more than of the other kind of change.
+        Difference from that of the other kind of change.
     """
 
     kind: EventKind
@@ -190,7 +191,7 @@ class Watched:
 
     @property
     def alarms(self) -> tuple[Event, ...]:
-        """The events that somebody should look at: any but a single check that is off."""
+        """The events that somebody should check: all except a single check that is off."""
         return tuple(event for event in self.events if event.kind != "outlier")
 
 
@@ -203,15 +204,15 @@ class _Filter:
     axes
         (6, 6) of a step the six that are filtered.
     likelihood
-        (R,) logarithm of how likely the checks so far are.
+        (R,) logarithm of the likelihood of the checks so far.
     total, weight
-        (R,) of the squared scale, and the checks that it is of.
+        (R,) of the squared scale, and the number of checks that it is from.
     mean, covariance
         (R, 6, 6) and (R, 6, 6, 6) of the state of each axis.
     onset, began, is_trend
         (M,) number of the check with which a change began, its days, and whether it is a trend.
     deviation
-        (R, 6, 6, M) by how much the state is off from the filter's, for a change of size one.
+        (R, 6, 6, M) the deviation of the state from the filter's, for a change of size one.
     information, vector
         (R, 6, M) normal equations of the size.
     """
@@ -253,7 +254,7 @@ def _no_changes(filters: int) -> dict[str, Any]:
 
 
 def _begin(first: Observed) -> _Filter:
-    """Begin before the first check: the stored pose may err by what is stated."""
+    """Initialise before the first check: the error of the stored pose is as stated."""
     white = np.linalg.inv(np.linalg.cholesky(first.random + first.common))
     axes = np.linalg.eigh(white @ first.random @ white.T)[1].T @ white
     filters = len(SHARES)
@@ -277,7 +278,8 @@ def _begin(first: Observed) -> _Filter:
 
 
 def _include(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
-    """Take the check n in, and give its χ²; what is too old is left out, and changes begin."""
+    """Process check n, and give its χ²; changes that are too old are dropped, and new ones
+    begin."""
     days, scale = check.days - now.days, np.sqrt(now.total / now.weight)[:, None]
     F = np.zeros((len(TIMES), 1, 6, 6)) + np.eye(6)
     kept = np.exp(-days / TIMES)[:, None]
@@ -300,7 +302,8 @@ def _include(now: _Filter, check: Observed, n: int) -> tuple[_Filter, float]:
 
     keep = _kept(now, n, check.days)
     count = np.count_nonzero(keep)
-    # Behind those that are kept a step begins that the check shows, and a trend that it does not.
+    # After those that are kept a step begins that the check shows, and a trend that it does not
+    # show yet.
     D = np.zeros((*mean.shape, count + 2))
     D[..., :count] = now.deviation[..., keep]
     D[:, :, LEVEL] += F[..., LEVEL, SLOPE, None] * D[:, :, SLOPE]
@@ -346,7 +349,7 @@ def _statistics(now: _Filter) -> Array:
     """(M,) twice the log likelihood ratio of each change against none: χ²(6) if none was.
 
     A change may be one of translation alone, as of a foundation that sinks, which has three
-    degrees of freedom; it is converted to the χ²(6) that chance exceeds as often.
+    degrees of freedom; it is converted to the χ²(6) of the same probability.
     """
     A, b, V = now.information[now.best], now.vector[now.best], now.axes[:, 3:]
     pushed = (V.T @ b).T[..., None]
@@ -357,7 +360,7 @@ def _statistics(now: _Filter) -> Array:
 
 
 def _accepted(now: _Filter, m: int) -> _Filter:
-    """Make a change part of what is expected."""
+    """Make a change part of the expectation."""
     D, A = now.deviation[..., m], now.information[..., m, None]
     mean = now.mean + D * now.vector[..., m, None] / A
     P = now.covariance + D[..., None] * D[..., None, :] / A[..., None]
@@ -374,7 +377,7 @@ def _found(now: _Filter, n: int) -> tuple[int, Event] | None:
         back = np.linalg.inv(now.axes)
         A, b = now.information[now.best, :, m], now.vector[now.best, :, m]
         size, covariance = back @ (b / A), (back / A) @ back.T
-        # What a short trend has moved by so far, and what a long one moves by in a year.
+        # The movement of a short trend so far, and that of a long one in a year.
         so_far = size * (now.days - now.began[m]) / YEAR if short[m] else size
         if np.linalg.norm(so_far[:3]) >= LEAST[0] or np.linalg.norm(so_far[3:]) >= LEAST[1]:
             others = statistics[now.is_trend != now.is_trend[m]].max(initial=0.0)
@@ -391,7 +394,8 @@ def _from_stored(check: Observed) -> float:
 
 
 def _stays_moved(newest: Sequence[Observed]) -> bool:
-    """Whether the newest two checks say that the site moved, on the same side; or all three."""
+    """Whether the newest two checks state that the site moved, in the same direction; or all
+    three."""
     moved = [one.moved and _from_stored(one) > GATE for one in newest]
     if len(newest) < 2 or not all(moved[-2:]):
         return False

@@ -23,7 +23,7 @@ from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import MissingExtraError, RetropoleError
 from .graph import Component, Graph, connected, find_components, labels, twice, worst_around
 
-SIGNIFICANT = 1e-5
+SIGNIFICANCE = 1e-5
 """Probability of a sound observation's χ² to be beyond what is taken for chance: a hundredth of the
 sound edges that may be lost at most, one in a thousand. w is then 4.4."""
 
@@ -84,7 +84,7 @@ class NetworkAdjustment:
         Sum of squares for each degree of freedom: 1 if the covariances given are right.
     rounds
         How often all was adjusted.
-    settled
+    converged
         Whether steps and rounds ended by themselves.
     """
 
@@ -102,7 +102,7 @@ class NetworkAdjustment:
     doubtful: BoolArray
     unit_variance: float
     rounds: int
-    settled: bool
+    converged: bool
 
 
 def engine() -> ModuleType:
@@ -165,7 +165,7 @@ def _adjusted(graph: Graph, progress: Callable[[str], None]) -> NetworkAdjustmen
         fits = ~active & ~beyond & ~returned
         wanted = (active & ~worst_around(graph, tests.chi2, active & beyond)) | fits
         wanted = connected(graph, wanted, tests.chi2)
-        if (settled := bool((wanted == active).all())) or rounds == MOST_ROUNDS:
+        if (stable := bool((wanted == active).all())) or rounds == MOST_ROUNDS:
             break
         returned |= wanted & ~active
         active = wanted
@@ -195,7 +195,7 @@ def _adjusted(graph: Graph, progress: Callable[[str], None]) -> NetworkAdjustmen
         doubtful,
         float(np.sum(tests.residual[active] ** 2) / max(part[active].sum(), 1e-9)),
         rounds,
-        converged and settled,
+        converged and stable,
     )
 
 
@@ -229,7 +229,7 @@ def as_factors(graph: Graph, active: BoolArray | None = None, robust: bool = Fal
 
 
 def _ordering(graph: Graph, factors: Any) -> Any:
-    """Put what is fixed last: eliminated earlier, it would drown all other information in
+    """Order fixed variables last: eliminated earlier, it would drown all other information in
     rounding."""
     everything = np.ones(len(graph.ends), dtype=bool)
     last = [int(each.nodes[0]) for each in find_components(graph, everything)]
@@ -464,11 +464,11 @@ def _normalised(chi2: Array, freedom: IntArray) -> Array:
 
 
 def _critical(freedom: IntArray) -> Array:
-    return np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANT), np.inf)
+    return np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANCE), np.inf)
 
 
 def noncentrality(freedom: int, power: float = POWER) -> float:
     """Mean by which an error must raise χ² to be found with some probability."""
     if not freedom:
         return np.inf
-    return float(chndtrinc(chdtri(freedom, SIGNIFICANT), freedom, 1 - power))
+    return float(chndtrinc(chdtri(freedom, SIGNIFICANCE), freedom, 1 - power))

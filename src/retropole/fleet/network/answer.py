@@ -74,10 +74,10 @@ def name_of(of: FleetNetwork, k: int) -> str:
 
 
 def reason_of(of: FleetNetwork, found: NetworkAdjustment, k: int) -> str:
-    """Say how an observation does not fit, and what may be wrong in its stead."""
+    """Describe how an observation does not fit, and which others may be wrong instead."""
     words = f"{name_of(of, k)}: w {found.w[k]:.1f} against all others"
     if rivals := ", ".join(name_of(of, rival) for rival in found.rivals.get(k, ())):
-        words += f"; {rivals} may be wrong in its stead"
+        words += f"; {rivals} may be the wrong one instead"
     return words
 
 

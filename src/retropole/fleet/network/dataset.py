@@ -100,7 +100,7 @@ def read_nodes(place: str) -> NodeList:
             raise ReadError(f"{here}: expected site and lidar, or x_m, y_m, z_m and sigma_m")
         if is_member:
             if not {"site", "lidar"} <= line.keys():
-                raise ReadError(f"{here}: site and lidar need each other")
+                raise ReadError(f"{here}: site and lidar must be given together")
             site, lidar = str(line["site"]), str(line["lidar"])
             lidars = of_site.setdefault(site, {})
             if lidar in lidars or node in lidars.values():
@@ -115,7 +115,7 @@ def read_nodes(place: str) -> NodeList:
 
 
 def _surveyed(here: str, line: Mapping[str, Any]) -> Surveyed:
-    """Take the control point of a row."""
+    """Read the control point of a row."""
     given = {key: value for key, value in line.items() if key not in ("site", "lidar")}
     try:
         point = msgspec.convert({**given, "node": str(given["node"])}, Surveyed, strict=False)
@@ -223,7 +223,7 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
 
 
 def _why_not(row: Row, lidars: Mapping[str, str]) -> str:
-    """Say why a row makes no edge; empty if it does."""
+    """State why a row gives no edge; empty if it does."""
     if not row.lidars:
         return f"{row.status}: {', '.join(row.codes)}" if row.codes else row.status
     if len(lidars) < 2:
@@ -250,7 +250,7 @@ def _edges_of(
 
 
 def _pair(row: Row) -> RelativePose:
-    """Take the pose of the source in the frame of the target."""
+    """Compute the pose of the source in the frame of the target."""
     (source,) = row.lidars
     what = f"the answer of {quoting(row.id)!r}"
     try:
@@ -263,7 +263,7 @@ def _pair(row: Row) -> RelativePose:
 
 
 def _tree(document: SiteDoc, lidars: Mapping[str, str]) -> Iterator[tuple[str, str, RelativePose]]:
-    """Take relative poses that join some LiDARs of a site without a loop, the most certain."""
+    """Choose relative poses that join some LiDARs of a site without a loop, the most certain."""
     from ...api.result import SiteResult
 
     site = SiteResult(document)

@@ -165,8 +165,8 @@ class Component:
         """In words, with the first node by its name (N,)."""
         pose = f"pose {names[int(self.nodes[0])]}"
         if not len(self.points):
-            return f"no control: {pose} is held"
-        open_ = f" leave {len(self.held)} of its rotations open: {pose} is held in them"
+            return f"no control points: {pose} is fixed"
+        open_ = f" leave {len(self.held)} of its rotations undetermined: {pose} is fixed in them"
         return f"{len(self.points)} controls" + (open_ if len(self.held) else "")
 
 

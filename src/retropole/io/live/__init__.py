@@ -22,9 +22,9 @@ SOURCE_KINDS = {
     "leishen:PORT": "packets of a Leishen",
     "livox:PORT": "packets of a Livox",
     "ouster:PORT:FILE": "packets of an Ouster, and its metadata (.json)",
-    "folder:PATH": "a folder that gets a file for each sweep",
+    "folder:PATH": "a folder to which a file is added for each sweep",
     "bag:PATH": "a bag that is being recorded (.mcap, .db3, or its folder); bag:PATH:/TOPIC",
-    "replay:PATH": "a recording, played at its own speed; replay:PATH:/TOPIC",
+    "replay:PATH": "a recording, played at its original speed; replay:PATH:/TOPIC",
 }
 """What a source may be, as it is requested."""
 
@@ -74,7 +74,7 @@ class Source(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of ports, files and threads; again does nothing."""
+        """Close ports, files and threads; a second call does nothing."""
         ...
 
 
@@ -108,11 +108,11 @@ def source_of(
     """
     kind, _, where = text.partition(":")
     if kind not in {each.partition(":")[0] for each in SOURCE_KINDS} or not where:
-        raise UsageError(f"{text!r} is no source, expected one of {', '.join(SOURCE_KINDS)}")
+        raise UsageError(f"{text!r} is not a source, expected one of {', '.join(SOURCE_KINDS)}")
     if kind not in (*MAKERS[1:], "replay"):
-        wanted.refuse_angles(f"{text}: angles are of packets of {', '.join(MAKERS[1:])}")
+        wanted.refuse_angles(f"{text}: angles can be given for packets of {', '.join(MAKERS[1:])}")
     if kind in (*MAKERS, "ouster") and wanted.intensity and "intensity" not in wanted.if_any:
-        raise UsageError(f"{text}: packets have one intensity, no field of it is named")
+        raise UsageError(f"{text}: packets have one intensity, a field cannot be chosen")
     # Each loads what it needs alone.
     if kind == "ros2":
         from .dds import DdsSource
@@ -175,7 +175,9 @@ def open_sources(
     """
     makers = tuple(f"{maker}:" for maker in (*MAKERS, "ouster"))
     if senders and not any(text.startswith(makers) for text in texts):
-        raise UsageError("--from names who sends packets: give velodyne:PORT or ouster:PORT:FILE")
+        raise UsageError(
+            "--from gives the sender of packets: use it with velodyne:PORT or ouster:PORT:FILE"
+        )
     for text in set(texts):
         if texts.count(text) > 1:
             raise UsageError(f"both LiDARs are {text}: name two sources")
@@ -214,5 +216,5 @@ def names_of(texts: Sequence[str], otherwise: Sequence[str]) -> tuple[str, ...]:
 def _port(text: str, port: str) -> int:
     # Python reads no more than some thousand digits.
     if not (port.isascii() and port.isdigit() and len(port) < 20):
-        raise UsageError(f"{text!r}: {port!r} is no port, a number from 1 to 65535")
+        raise UsageError(f"{text!r}: {port!r} is not a port, a number from 1 to 65535")
     return int(port)

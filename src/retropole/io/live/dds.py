@@ -28,7 +28,7 @@ MOST_DOMAIN = 232
 
 
 def domain_or_default(domain: int | None) -> int:
-    """Take a domain, or that of the environment as ROS 2 does, or 0.
+    """Use a given domain, or that of the environment as in ROS 2, or 0.
 
     Raises
     ------
@@ -40,7 +40,9 @@ def domain_or_default(domain: int | None) -> int:
     is_short = digits.isascii() and digits.isdigit() and len(digits) <= len(str(MOST_DOMAIN))
     number = int(digits) if is_short else -1
     if not 0 <= number <= MOST_DOMAIN:
-        raise UsageError(f"domain {given!r} is none: a whole number from 0 to {MOST_DOMAIN}")
+        raise UsageError(
+            f"domain {given!r} is not a domain: a whole number from 0 to {MOST_DOMAIN}"
+        )
     return number
 
 
@@ -221,7 +223,7 @@ class DdsSource:
             return f"{words}; clouds are on: {', '.join(others) or 'no topic'}"
         if dds_name(CLOUDS) not in own:
             return f"{self._topic} is of {own[0]}, expected {dds_name(CLOUDS)}"
-        return f"{self._topic} has a publisher, but no message comes"
+        return f"{self._topic} has a publisher, but no message arrives"
 
     def _publications(self) -> list[tuple[str, str, bool]]:
         """Name, type and reliability of all that is published now."""

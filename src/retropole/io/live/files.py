@@ -65,7 +65,7 @@ class _Looking:
         self.name = name
         self._closed = Event()
         self._last = -np.inf
-        self._lacks = "nothing came yet"
+        self._lacks = "nothing received yet"
 
     @property
     def waits_for(self) -> str:
@@ -150,13 +150,13 @@ class FolderSource(_Looking):
         }
         news = {path: each.version for path, each in self._files.items() if not each.is_done}
         self._lacks = (
-            f"{self._folder}: no new file comes"
+            f"{self._folder}: no new file appears"
             if found
             else f"{self._folder}: has no point clouds yet, expected files of {', '.join(READERS)}"
         )
         odd = sorted(p.name for p in there.keys() - found.keys() if not p.is_dir())
         if odd:
-            self._lacks += f"; {counted(len(odd), 'name')} left out, as {odd[0]}, no file"
+            self._lacks += f"; {counted(len(odd), 'name')} left out, such as {odd[0]}, not a file"
         # Of files that were copied at once, the longer number is the later one.
         return sorted(news, key=lambda p: (news[p].written, len(p.name), p.name), reverse=True)
 
@@ -234,7 +234,7 @@ class Recorded:
         return has_clouds(kind) and self._topic in (None, topic)
 
     def put(self, topic: str, message: Message, count: int = 1) -> None:
-        """Take the last of this many messages that came."""
+        """Read the last of this many messages."""
         self._counts[topic] += count
         self._newest[topic] = message
 
@@ -327,7 +327,7 @@ class GrowingMcap:
                 if code == 0 or length > (LARGEST_RECORD if code in READ else LARGEST_SKIPPED):
                     raise ReadError(
                         f"is damaged at byte {self._at}: a record of kind {code} and {length:,} "
-                        "bytes is none"
+                        "bytes is not valid"
                     )
                 if self._at + RECORD_HEADER + length > size:
                     break
@@ -474,7 +474,7 @@ class BagSource(_Looking):
                 is_all = part.read_on(self._recorded, until)
             if not is_all:
                 self._parts = self._parts[number:]
-                self._lacks = f"{path}: what was recorded before is still being read"
+                self._lacks = f"{path}: older data are still being read"
                 return None
         if not self._parts:
             self._lacks = f"{self._path}: has no file {' or '.join(PARTS)} yet"

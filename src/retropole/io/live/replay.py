@@ -104,7 +104,7 @@ class ReplaySource:
         return None
 
     def close(self) -> None:
-        """Let go of the recording, as `Source` says."""
+        """Close the recording, as in `Source`."""
         self._closed.set()
         with self._lock:
             self._entries.close()

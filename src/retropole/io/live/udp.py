@@ -1,7 +1,7 @@
 """Packets that a sensor sends to a port of this computer.
 
-They are decoded as those of a capture are (`io.packets`). A thread receives them, since what the
-system buffers for a program is less than a sweep.
+They are decoded like those of a capture (`io.packets`). A thread receives them, since the system's
+buffer for a program is smaller than a sweep.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from ..recordings import Frame, is_unix
 from .replay import QUIET
 
 ALL_INTERFACES = "0.0.0.0"
-"""Address to listen on by default: sensors send from the network. What a sensor sends to all, as a
-Velodyne does unless it is configured otherwise, reaches this address alone."""
+"""Address to listen on by default: sensors send from the network. Broadcast packets, the default of
+a Velodyne, reach this address only."""
 
 PAUSE = 2.0
-"""Seconds without a packet after which a sensor has stopped: another one is taken then, and the
+"""Seconds without a packet after which a sensor has stopped: then another one is used, and the
 same one begins a new sweep."""
 
 WINDOW, FEWEST = 0.1, 10
-"""Packets of the senders are counted over this many seconds. Who sends fewer is no sensor, which
-send 30 and more: the busiest of all is taken instead."""
+"""Packets of the senders are counted over this many seconds. A sender of fewer is not a sensor,
+which sends 30 and more: the busiest of all is used instead."""
 
 LOOK = 0.2
-"""Seconds after which the thread looks whether it is to end."""
+"""Interval, s, at which the thread checks whether it is to end."""
 
 Decoder = Callable[[bytes, float], Sweep | None]
-"""Takes a packet of one sensor and when it came, Unix seconds; gives the sweep that it completes.
+"""Called with a packet and its time of arrival, Unix seconds; returns the sweep that it completes.
 """
 
 
@@ -57,9 +57,9 @@ class _Kind(NamedTuple):
     Attributes
     ----------
     maker, expected
-        Its name, and in words what its packets are.
+        Its name, and a description of its packets.
     misfit
-        In words what a packet is that is none of it; empty if it is one.
+        Description of a packet that is not of this kind; empty if it is.
     decoder
         Starts with the first packet of a sweep, or in the middle of one.
     """
@@ -71,7 +71,7 @@ class _Kind(NamedTuple):
 
 
 class _Came(NamedTuple):
-    """A sweep that came, and what is to be known of it."""
+    """A received sweep, and notes on it."""
 
     sweep: Sweep
     received: float
@@ -82,7 +82,7 @@ class _Came(NamedTuple):
 class _Mailbox:
     """Hands the newest sweep from the thread that receives to the one that calibrates.
 
-    What was not taken before the next came is left out.
+    A sweep that was not read before the next arrived is dropped.
     """
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ class _Mailbox:
             self._changed.notify_all()
 
     def take(self, wait: float) -> tuple[int, _Came] | None:
-        """Take the newest sweep and its number, counted from 0; None if none came in time."""
+        """Take the newest sweep and its number, counted from 0; None if none arrived in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._held is not None or self._is_closed, wait)
             buffered, self._held = self._held, None
@@ -113,11 +113,11 @@ class _Mailbox:
 
 
 class PacketSource:
-    """A sensor that sends packets to a port: what `VelodyneSource` and others have in common.
+    """A sensor that sends packets to a port: base of `VelodyneSource` and others.
 
-    The packets of one sender are taken, since two sensors that send to one port would be mixed up
-    otherwise: of the first whose packets fit, until it has stopped for `PAUSE`; and instead of one
-    that sends too few for a sensor, of the busiest.
+    The packets of one sender are used, since two sensors that send to one port would be mixed
+    up otherwise: the first whose packets fit, until it has stopped for `PAUSE`; and the busiest
+    instead of one that sends too few for a sensor.
 
     Parameters
     ----------
@@ -126,12 +126,12 @@ class PacketSource:
     kind
         Of sensor.
     senders
-        IP addresses of which packets are taken; none for any.
+        IP addresses whose packets are used; empty for any.
 
     Raises
     ------
     UsageError
-        If a sender is no IP address, or the port cannot be opened.
+        If a sender is not an IP address, or the port cannot be opened.
     """
 
     has_ended = False
@@ -146,7 +146,7 @@ class PacketSource:
         self._closed = Event()
         self._lock = Lock()
         self._sender: tuple[str, int] | None = None
-        # How many packets of each sender came, and since when.
+        # Number of packets from each sender, and since when.
         self._counts: Counter[tuple[str, int]] = Counter()
         self._counted_from = -np.inf
         self._decoder: Decoder | None = None
@@ -160,25 +160,25 @@ class PacketSource:
 
     @property
     def waits_for(self) -> str:
-        """In words why no sweep comes: what came instead."""
+        """In words why no sweep arrives: what was received instead."""
         now = time.monotonic()
         with self._lock:
             if now - self._last_sweep < QUIET:
                 return ""
             wrong = self._wrong_in_words()
             if self._sender is None:
-                taken = "" if wrong else "no packet came"
+                taken = "" if wrong else "no packet received"
             elif now - self._last_packet >= PAUSE:
                 taken = f"{_named(self._sender)} sends no more packets"
             else:
-                taken = f"{counted(self._taken, 'packet')} of {_named(self._sender)} came, no sweep"
+                taken = f"{counted(self._taken, 'packet')} of {_named(self._sender)}, no sweep"
             others = self._left_out(counted(self._others, "packet")) if self._others else ""
         return f"port {self._port}: {'; '.join(filter(None, (taken, wrong, others)))}"
 
     def _left_out(self, packets: str) -> str:
         if self._senders:
-            return f"{packets} of {_named(self._other)} left out, as --from names another"
-        other = f"{packets} of {_named(self._other)} left out, as those of one sensor are taken"
+            return f"{packets} of {_named(self._other)} left out, since --from gives another sender"
+        other = f"{packets} of {_named(self._other)} left out, since one sensor is read"
         return f"{other}; --from ADDRESS names it"
 
     def _wrong_in_words(self) -> str:
@@ -186,7 +186,7 @@ class PacketSource:
             return ""
         came = " and ".join(size for size, _ in self._wrong.most_common(3))
         return (
-            f"{counted(self._wrong.total(), 'packet')} came, none of a {self._kind.maker}: "
+            f"{counted(self._wrong.total(), 'packet')} received, none of a {self._kind.maker}: "
             f"{self._kind.expected} expected, {came} came"
         )
 
@@ -200,7 +200,7 @@ class PacketSource:
         with naming(where), reported("sweep"):
             own = sweep.columns()
         cloud = frame_from_columns(where, own, origin=sweep.origin)
-        # A sensor whose clock was never set counts from when it was switched on.
+        # The clock of a sensor that was never set starts when it is switched on.
         is_known = sweep.stamp is not None and is_unix(sweep.stamp)
         stamp = sweep.stamp if is_known else received
         cloud = replace(
@@ -212,7 +212,7 @@ class PacketSource:
         return Frame(number, cloud, stamp, sender=sender)
 
     def close(self) -> None:
-        """Let go of the port, as `Source` says."""
+        """Close the port, as in `Source`."""
         self._closed.set()
         self._mailbox.close()
         self._thread.join(5 * LOOK)
@@ -241,7 +241,7 @@ class PacketSource:
             sweep = decoder(packet, received)
         except Exception as error:
             with self._lock:
-                # What cannot be decoded keeps no other sensor away.
+                # Packets that cannot be decoded do not block another sensor.
                 self._sender = self._decoder = None
                 self._counts.pop(sender, None)
                 self._wrong[f"{len(packet)} that cannot be decoded ({shortened(said(error))})"] += 1
@@ -256,7 +256,7 @@ class PacketSource:
             self._mailbox.put(came)
 
     def _is_the_one(self, sender: tuple[str, int], now: float) -> bool:
-        """Whether a sender is the one that is taken; choose another where that is no sensor."""
+        """Whether a sender is the one that is used; choose another if that is not a sensor."""
         if self._senders and sender[0] not in self._senders:
             return False
         taken, counted_for = self._sender, now - self._counted_from
@@ -317,9 +317,9 @@ class VelodyneSource(PacketSource):
 
 
 class Reported:
-    """What LiDARs report of themselves on a port: the newest such packet of each, by its address.
+    """Status packets of LiDARs on a port: the newest of each, by its address.
 
-    Several listen to it where their LiDARs send to one port; the last to leave closes it.
+    Several sources listen to it if their LiDARs send to the same port; the last one closes it.
 
     Raises
     ------
@@ -339,7 +339,7 @@ class Reported:
 
     @classmethod
     def on(cls, port: int, host: str) -> Reported:
-        """Listen to a port, with those that do already."""
+        """Listen to a port, together with others that do."""
         with cls._lock:
             own = cls._open.get((host, port))
             if own is None:
@@ -348,7 +348,7 @@ class Reported:
             return own
 
     def leave(self) -> None:
-        """Listen no longer."""
+        """Stop listening."""
         with self._lock:
             self._users -= 1
             if self._users == 0:
@@ -363,7 +363,7 @@ class Reported:
 
 
 def keep(told: dict[str, bytes], address: str, packet: bytes) -> None:
-    """Keep what came last from an address; of more than a hundred no LiDAR would be found."""
+    """Keep the last packet from an address; among more than a hundred no LiDAR would be found."""
     if address in told or len(told) < 100:
         told[address] = packet
 
@@ -374,11 +374,11 @@ class TableSource(PacketSource):
     Parameters
     ----------
     maker
-        As the tables have it, in any case.
+        As in the tables, in any case.
     port, host, senders
         As `VelodyneSource` takes them.
     told
-        Port to which it sends its angles; None for that of its maker, where it has one and no other
+        Port to which it sends its angles; None for that of its maker, if it has one and no other
         program listens there. They may also use the first port.
     angles
         File of the angles of the unit.
@@ -413,7 +413,7 @@ class TableSource(PacketSource):
         except UsageError as error:
             if told is not None:
                 raise
-            unheard = f"its angles are not heard: {error}"
+            unheard = f"its angles are not received: {error}"
 
         def misfit(packet: bytes) -> str:
             return "" if recognized(packet) in models else str(len(packet))
@@ -449,7 +449,7 @@ class TableSource(PacketSource):
             self.name += f",{told}"
 
     def close(self) -> None:
-        """Let go of both ports, as `Source` says."""
+        """Close both ports, as in `Source`."""
         super().close()
         self._leave()
 
@@ -459,7 +459,7 @@ class TableSource(PacketSource):
             self._told = None
 
     def _heard(self) -> bytes:
-        """What the LiDAR whose packets are taken reported last; empty before it did."""
+        """The last status packet of the LiDAR that is used; empty before the first."""
         address = self._sender[0] if self._sender else ""
         others = self._told.packets if self._told else {}
         return self._own_told.get(address) or others.get(address, b"")
@@ -479,7 +479,7 @@ class OusterSource(PacketSource):
     port
         UDP, for its LiDAR; 7502 unless the sensor was configured otherwise.
     metadata
-        The sensor's metadata, a file .json: they say how its packets are arranged.
+        The sensor's metadata, a file .json: which describe the structure of its packets.
     host
         Address of this computer to listen on.
     senders
@@ -553,7 +553,7 @@ class OusterSource(PacketSource):
 def _no_velodyne(packet: bytes) -> str:
     if len(packet) != VELODYNE_SIZE:
         return str(len(packet))
-    return "" if packet.startswith(VELODYNE_START) else f"{VELODYNE_SIZE} that begin otherwise"
+    return "" if packet.startswith(VELODYNE_START) else f"{VELODYNE_SIZE} with another beginning"
 
 
 def _address(text: str) -> str:
@@ -569,7 +569,7 @@ def _named(sender: tuple[str, int]) -> str:
 
 
 def _coming(own: socket.socket, closed: Event) -> Iterator[tuple[bytes, tuple[str, int]]]:
-    """Receive packets, and who sent each, until that is to end; then close the port."""
+    """Receive packets, with the sender of each, until told to end; then close the port."""
     with own:
         while not closed.is_set():
             try:

@@ -102,7 +102,10 @@ def open_packets(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -
         capture = walk(path)
     senders, starts = _surveyed(path, capture)
     if not senders:
-        fault = f"{path}: has packets of no LiDAR of the tables; topic and angles are for these"
+        fault = (
+            f"{path}: has no packets of the known LiDARs; topic and angles can be given only for "
+            "these"
+        )
         wanted.refuse_angles(fault)
         if topic is not None:
             raise UsageError(fault)
@@ -233,7 +236,7 @@ def _chosen(path: Path, senders: dict[str, Sender], topic: str | None) -> str:
         for name, own in islice(senders.items(), 10)
     )
     if topic is not None and topic not in senders:
-        raise ReadError(f"{path}: no LiDAR sends from {topic}; those that do: {listed}")
+        raise ReadError(f"{path}: no LiDAR sends from {topic}; the senders are: {listed}")
     if topic is None and len(senders) > 1:
         raise ReadError(f"{path}: has packets of {len(senders)} LiDARs, name one of them: {listed}")
     return topic or next(iter(senders))
@@ -253,7 +256,7 @@ def _recording(
     order = np.argsort(rows, kind="stable")
     rows, times = rows[order], times[order]
     if sender.model is None:
-        wanted.refuse_angles(f"{path}: angles of a {sender.title} are known, others are of no use")
+        wanted.refuse_angles(f"{path}: angles of a {sender.title} are known, others do not apply")
 
         def coming() -> Iterator[Datagram]:
             payloads = (each.tobytes() for stack in read(rows) for each in stack)

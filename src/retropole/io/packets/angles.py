@@ -56,7 +56,7 @@ def read_angles(path: Path, model: Model) -> Angles:
 
 
 def reported_angles(model: Model, payload: bytes) -> Angles | None:
-    """Take the angles of a unit from a packet in which it has them; None of any other."""
+    """Read the angles of a unit from a packet that contains them; None for any other."""
     if isinstance(model.layout, Interpolated):
         return interpolated.reported_angles(model, payload)
     return None

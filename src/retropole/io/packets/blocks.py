@@ -127,7 +127,7 @@ def unwrapped(azimuth: IntArray, circle: int) -> IntArray:
 
 
 def fired(model: Model, packets: NDArray[np.uint8]) -> Iterator[Fired]:
-    """Take the returns of packets within the range of the model, of equal ones the last."""
+    """Keep the returns of packets within the range of the model, the last of equal ones."""
     layout = _layout(model)
     near, far = (np.array(model.range_m) / model.distance_m).round(6)
     # Zero is no return.

@@ -85,13 +85,13 @@ class Capture:
     links: IntArray
 
     def note(self, unreadable: int) -> str:
-        """Say what is lost, where `unreadable` packets are of no use as well; or nothing."""
+        """Report what is lost, if `unreadable` packets cannot be used either; or nothing."""
         lost = []
         if len(self.gaps):
             where = counted(len(self.gaps), "place")
             lost.append(
                 f"{int(self.gaps[:, 1].sum()):,} of {self.size:,} bytes at {where} (from byte "
-                f"{self.gaps[0, 0]}) hold no whole packet"
+                f"{self.gaps[0, 0]}) contain no complete packet"
             )
         if unreadable:
             lost.append(f"{unreadable:,} of {len(self.records):,} packets cannot be read")
@@ -135,7 +135,7 @@ def walk(path: Path) -> Capture:
                 damaged = f"is damaged at {len(gaps)} places up to byte {following}"
                 raise ReadError(f"{damaged}, expected a capture")
     if not records and (gaps or not header):
-        raise ReadError(f"has no whole packet in the {size - header} bytes after its header")
+        raise ReadError(f"has no complete packet in the {size - header} bytes after its header")
     found_records = _table(records)
     return Capture(
         np.column_stack([found_records["start"], found_records["size"]]),
@@ -158,7 +158,7 @@ OF_ONE_SIZE = 8
 
 
 def _table(records: list[Record | NDArray[np.void]]) -> NDArray[np.void]:
-    """Put records into one table, in their order."""
+    """Collect records in one table, in their order."""
     parts, ones = list[NDArray[np.void]](), list[Record]()
     for own in records:
         if isinstance(own, Record):

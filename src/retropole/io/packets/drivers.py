@@ -21,7 +21,7 @@ LAYOUTS: dict[str, list[dict[str, str]]] = tomllib.loads(
 
 
 def datagrams(messages: Iterator[tuple[int, bytes, str]], kind: str) -> Iterator[Datagram]:
-    """Take the packets out of messages of a driver, in their order.
+    """Extract the packets from messages of a driver, in their order.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def _decoded(kind: str, data: bytes, encoding: str, known: int | None) -> tuple[
         except Exception:
             # rosbags lets pass whatever is raised when bytes do not fit.
             continue
-    raise ReadError(f"a message of {len(data):,} bytes is no {kind} that is known")
+    raise ReadError(f"a message of {len(data):,} bytes is not a known {kind}")
 
 
 @cache

@@ -97,8 +97,8 @@ def decode(
     channels, most = len(own.elevation), len(layout.firing_us) * layout.together
     if not channels:
         raise ReadError(
-            f"a {model.title} says in DIFOP packets at which angles its channels look, and none "
-            "came; they can be given by --angles FILE"
+            f"a {model.title} sends the angles of its channels in DIFOP packets, and none "
+            "was received; give them with --angles FILE"
         )
     if channels != most and not (layout.is_halved and 2 * channels == most):
         raise ReadError(f"{own.found} has {channels} channels, a {model.title} {most}")
@@ -142,7 +142,7 @@ def decode(
 
 
 def reported_angles(model: Model, payload: bytes) -> Angles | None:
-    """Take the angles of the unit from its DIFOP packet; None of any other, or if it has none.
+    """Read the angles of the unit from its DIFOP packet; None for any other, or if it has none.
 
     A LiDAR of half as many channels leaves the second half empty, or repeats the first.
     """

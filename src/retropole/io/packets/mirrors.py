@@ -102,7 +102,7 @@ def read_corrections(path: Path) -> Angles:
     start = data.find(b"\xee\xff")
     head = data[start : start + 16]
     if start < 0 or len(head) < 16 or head[2:4] != b"\x01\x05":
-        raise ReadError("is no correction file of an AT128 (version 1.5)")
+        raise ReadError("is not a correction file of an AT128 (version 1.5)")
     channels, mirrors, unit = head[4], head[5], np.radians(head[15] / 100)
     kinds = [("starts", "<u4", mirrors), ("ends", "<u4", mirrors), ("azimuth", "<i4", channels)]
     kinds += [("elevation", "<i4", channels), ("adjusted", "i1", 2 * channels * 180)]

@@ -440,7 +440,7 @@ def rings_of(elevation: Array) -> IntArray:
 
 
 def unknown(sizes: dict[int, int]) -> str:
-    """Say which packets came that no model sends, by how many there are of each size."""
+    """Report packets that no model sends, with the number of each size."""
     most = sorted(sizes.items(), key=lambda each: -each[1])[:3]
     came = ", ".join(f"{size} bytes ({counted(count, 'packet')})" for size, count in most)
     return f"packets of no known model: {came or 'none'}"

@@ -27,7 +27,7 @@ def find_metadata(path: Path, sizes: str) -> Path:
         return files[0]
     have = f"{len(files)} files .json, none of them {same.name}" if files else "no .json"
     raise ReadError(
-        f"{path}: its packets are of no known LiDAR ({sizes}); those of an Ouster need the "
+        f"{path}: its packets are not of a known LiDAR ({sizes}); those of an Ouster need the "
         f"sensor's metadata next to them as {same.name}, found {have}"
     )
 
@@ -64,7 +64,8 @@ def sweeps_of_capture(path: Path, metadata: Path) -> Iterator[Sweep]:
 
 
 def ouster_sweeps(info: Any) -> Callable[[Any], Sweep]:
-    """Give what makes sweeps of an Ouster's scans, from the `SensorInfo` of its metadata."""
+    """Return a function that makes sweeps from an Ouster's scans, from the `SensorInfo` of its
+    metadata."""
     from ouster.sdk.core import ChanField, XYZLut
 
     # In the sensor's frame z = 0 is its base; the beams start above it.

@@ -240,7 +240,8 @@ def sweep(
 
 
 def live(model: Model, angles: Angles | None) -> Callable[[bytes], Sweep | None]:
-    """Give what takes packets of a model as they come, and gives each sweep that is whole.
+    """Return a function that receives packets of a model as they arrive, and returns each complete
+    sweep.
 
     The first sweep began before, and is left out. Of several that become whole at once, the newest
     is given.

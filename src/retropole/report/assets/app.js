@@ -202,7 +202,7 @@
       ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
     const caution = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
     const denied = held.some((cloud) => places[cloud.placement] && cloud.denying[state.pose].length);
-    const red = layers.contradicting && denied ? " Red: stands where the other LiDAR looked through." : "";
+    const red = layers.contradicting && denied ? " Red: in space that the other LiDAR saw to be empty." : "";
     return `After: source transformed by ${state.pose === "result" ? "the result" : poses.get(state.pose).label}.${caution}${red}${shown}`;
   }
   function describeRecording({ lidar, threshold, decoded: { levels }, poles, rejected }) {

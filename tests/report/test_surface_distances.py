@@ -5,8 +5,8 @@ from msgspec.structs import replace
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, Scan
-from retropole.report.apart import apart, measured_distances
 from retropole.report.subject import Subject, as_subject
+from retropole.report.surface_distances import distances_of_surfaces, measured_distances
 from retropole.simulation import SimulatedPair, simulate_pair
 from tests.results import result_of
 
@@ -24,15 +24,15 @@ def test_a_pose_that_is_off_shows_in_the_surfaces() -> None:
     beside = {each.kind: each for each in measured_distances(subject_of(pair, off))}
     assert at_truth["walls"].median_m < 0.006
     assert beside["ground"].median_m > 0.015
-    page = apart(subject_of(pair, T))
+    page = distances_of_surfaces(subject_of(pair, T))
     assert "target–source" in page
     assert f"{1000 * at_truth['walls'].median_m:.1f}" in page
 
 
 def test_nothing_is_reported_where_there_is_no_pose_or_no_cloud() -> None:
     pair = simulate_pair("corridor", np.random.default_rng(100))
-    assert apart(as_subject(result_of("ok", [], np.eye(4)))) == ""
+    assert distances_of_surfaces(as_subject(result_of("ok", [], np.eye(4)))) == ""
     subject = subject_of(pair, np.eye(4))
     lidars = [replace(each, T_site_lidar=None) for each in subject.site.lidars]
     refused = Subject(replace(subject.site, lidars=lidars), subject.pair, subject.scans)
-    assert apart(refused) == ""
+    assert distances_of_surfaces(refused) == ""

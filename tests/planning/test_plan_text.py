@@ -12,14 +12,14 @@ from retropole.base.errors import Reason
 from retropole.base.uncertainty.purpose import Need
 from retropole.planning.comparison import NEAR
 from retropole.planning.place import DIRECTIONS, LEANS, LIDAR_CLEARANCE, Station, leaning
-from retropole.planning.planner import More
-from retropole.planning.words import (
+from retropole.planning.plan_text import (
     LEAN_STEP_DEG,
     PLACE_STEP_DEG,
     leaning_words,
     plan_document,
     pole_words,
 )
+from retropole.planning.planner import More
 from retropole.result import encode
 from retropole.result.decoding import decode_plan
 from tests.planning.places import planned, pose, stations

@@ -1,4 +1,4 @@
-"""How far from each other the surfaces lie that two LiDARs see, under the poses of the answer."""
+"""Distances between the surfaces that two LiDARs see, under the poses of the answer."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from .page import EMPTY, Html, fill, listed
 from .subject import Subject
 
 MOST_POINTS = 300_000
-"""Points of each recording that are looked at, evenly: it takes 0.1 s."""
+"""Number of points of each recording that are used, evenly spread: it takes 0.1 s."""
 
 FARTHEST = 300.0
-"""No surface is looked at that is farther from its LiDAR, metres: points are too sparse there."""
+"""Surfaces farther from their LiDAR are not used, metres: points are too sparse there."""
 
 FEWEST_SURFELS = 20
 """Fewer give no information: each is off by some millimetres."""
 
 
-def apart(subject: Subject) -> Html:
-    """Say how far from each other surfaces lie; nothing if no two LiDARs see any, or none has a
+def distances_of_surfaces(subject: Subject) -> Html:
+    """List the distances between surfaces; empty if no two LiDARs see any, or none has a
     pose."""
     found = [each for each in measured_distances(subject) if each.surfels >= FEWEST_SURFELS]
     if not found:
         return EMPTY
-    # Most surfels say most; of many pairs the rest is folded away.
+    # The most surfels are the most informative; with many pairs the rest is folded away.
     found.sort(key=lambda each: -each.surfels)
     rows = [
         [
@@ -41,7 +41,10 @@ def apart(subject: Subject) -> Html:
         for each in found
     ]
     header = columns("LiDARs; surface; apart, mm; signed, mm; surfels; area, m²")
-    return fill("apart", table=listed(Listing("Surfaces apart, medians", header, rows, (1,))))
+    return fill(
+        "surface-distances",
+        table=listed(Listing("Distances between surfaces, medians", header, rows, (1,))),
+    )
 
 
 def measured_distances(subject: Subject) -> list[Distance]:

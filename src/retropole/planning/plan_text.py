@@ -52,9 +52,9 @@ BY_EYE = 4.0
 (docs/poles.md)."""
 
 WALK = (
-    "Set up no pole, and walk with one in view of both: retropole watch TARGET SOURCE --carried. "
-    "In 24 simulated walks of 40 s with two VLP-16, points 30 m away were off by 11 mm in the "
-    "median, by 31 mm at most."
+    "Instead of setting up poles, walk with one in view of both: retropole watch TARGET SOURCE "
+    "--carried. In 24 simulated walks of 40 s with two VLP-16, points 30 m away were off by 11 "
+    "mm in the median, by 31 mm at most."
 )
 """Instead of poles that are set up (benchmarks/carried.py, seeds 6000 to 6023)."""
 
@@ -253,7 +253,8 @@ def leaning_words(foot: Array, axis: Array, stations: Sequence[Station]) -> tupl
 def pole_words(
     name: str, foot: Array, lean: float, towards: str, stations: Sequence[Station]
 ) -> str:
-    """Say where a pole is: ``pole A: 4.2 m from front, 30° left of the line to rear, upright``."""
+    """Describe the position of a pole: ``pole A: 4.2 m from front, 30° left of the line to rear,
+    upright``."""
     lidar, azimuth, line = viewpoint_of(foot, stations)
     to = foot - lidar.at
     turn = _steps(np.arctan2(to[1], to[0]) - azimuth, PLACE_STEP_DEG)
@@ -301,7 +302,7 @@ def _titles(rehearsal: Rehearsal) -> Iterator[str]:
 def sentences(
     planned: Planned, predicted: Sequence[PredictedDoc], need: Need | None, met: float | None
 ) -> Iterator[str]:
-    """Say what to expect, the most important first."""
+    """Describe the expected result, the most important first."""
     at = planned.reach
     is_poor = planned.rehearsal.status != "ok" or (met is not None and met < 0.5)
     if is_poor and len(planned.stations) == 2:
@@ -312,7 +313,7 @@ def sentences(
     whose = "" if len(predicted) == 1 else f" of {worst.lidar}, the least certain,"
     bound = displacement_bound(worst.covariance, at)
     yield (
-        f"The error{whose} to expect at {at:g} m is {error(sigma)} (1 σ); with 95 % probability no "
+        f"The expected error{whose} at {at:g} m is {error(sigma)} (1 σ); with 95 % probability no "
         f"point up to there is off by more than {error(bound).removeprefix('± ')}. By the poles "
         f"alone it is {error(alone)}."
     )
@@ -346,14 +347,14 @@ def sentences(
     widest = max(float(each.max(initial=0.0)) for each in gaps)
     if widest > BY_EYE:
         yield (
-            f"Feet up to {widest:.1f} m apart: beyond {BY_EYE:g} m it matters which way the poles "
-            "lean, so keep to the leans of the plan."
+            f"Feet up to {widest:.1f} m apart: beyond {BY_EYE:g} m the directions in which the "
+            "poles lean matter, so lean them as planned."
         )
     for station in planned.stations:
         if not station.is_refined:
             yield (
-                f"The pose of {station.name} is as you gave it: the recordings share too little to "
-                "settle it."
+                f"The pose of {station.name} is as you gave it: the recordings have too little "
+                "in common to refine it."
             )
     names = map(_letter, range(len(planned.numbers)))
     named = [[(next(names), feet[k]) for k in own] for own in planned.chosen]
@@ -364,4 +365,4 @@ def sentences(
         )
         yield f"For placement {p} carry {', '.join(carried)}."
     count = len(planned.candidates)
-    yield f"Chosen from {counted(count, 'pole')} that could stand on the ground that was recorded."
+    yield f"Chosen from {counted(count, 'pole')} that could be set up on the recorded ground."
