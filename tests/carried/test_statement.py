@@ -9,7 +9,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.base.uncertainty import floor
 from retropole.carried.adjustment import in_recordings
-from retropole.carried.statement import state_walk
+from retropole.carried.statement import scene_beside, state_walk
 from retropole.carried.walk import WalkCalibration, apart, calibrate_tracks
 from tests.carried.walks import RADIUS, SeenWalk, seen_walk
 
@@ -53,6 +53,26 @@ def test_an_answer_moves_with_the_frames_of_the_recordings(found: WalkCalibratio
     back = in_recordings(moved, se3.inverse(A), se3.inverse(B))
     np.testing.assert_allclose(back.covariance, found.adjusted.covariance, atol=1e-12)
     assert np.all(np.diag(found.covariance) >= np.diag(floor()))
+
+
+def test_who_carries_the_pole_does_not_count_as_the_scene() -> None:
+    """A person all along the way is left out, a post 2 m beside it is not."""
+    rng = np.random.default_rng(4)
+    ground = np.column_stack([rng.uniform(-8, 8, (6000, 2)), np.full(6000, -1.5)])
+    way = np.column_stack([np.full(40, 4.0), np.linspace(-3, 3, 40), np.zeros(40)])
+    post = np.column_stack([rng.normal(2.0, 0.05, (600, 2)), rng.uniform(-1.4, 0.5, 600)])
+    person = way[rng.integers(40, size=600)] + rng.uniform(-0.5, 0.5, (600, 3)) * [1, 1, 2]
+    xyz = np.concatenate([ground, post, person])
+    scan = Scan(PointCloud(xyz, np.ones(len(xyz))))
+    T = se3.from_rt(se3.exp_so3(np.array([0.02, 0.0, 1.0])), np.array([1.0, 0.5, 0.1]))
+    moved = Scan(PointCloud(se3.apply(se3.inverse(T), xyz), np.ones(len(xyz))))
+    ways = way, se3.apply(se3.inverse(T), way)
+    for objects, pose in zip(
+        scene_beside(Placement(scan, moved), ways), (np.eye(4), T), strict=True
+    ):
+        kept = se3.apply(pose, objects.points)
+        assert len(kept) > 20
+        assert np.all(kept[:, 0] < 3.0)
 
 
 def test_clocks_that_are_far_apart_begin_together(walk: SeenWalk) -> None:

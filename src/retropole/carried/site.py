@@ -34,13 +34,13 @@ from ..base.errors import Reason, Refusal, refusing_of, warnings_and_notes
 from ..base.quantities import error
 from ..base.systematic import ErrorModel
 from ..base.uncertainty.purpose import CONFIDENCE
-from ..hypotheses.evidence import check_confirmation, count, is_in_conflict, scenes_of
+from ..hypotheses.evidence import check_confirmation, count, is_in_conflict
 from ..hypotheses.scans import SiteScans, patches_of, poses_in_clouds
 from ..verdict import check_sensor, check_sway
 from ..verdict.site import not_fit
 from ..verdict.statement import lidar_poses
 from .adjustment import Adjusted, in_recordings
-from .statement import axes_in_target, figures_of
+from .statement import axes_in_target, figures_of, scene_beside
 from .verdict import chosen
 from .walk import Solved
 
@@ -89,7 +89,7 @@ def state_walk_of_site(
     found: list[Reason] = []
     if scene:
         T, parts, found = _refined(site, scans, T, parts)
-    _check_conflicts(names, scans, T)
+    _check_conflicts(names, scans, T, axes_in_target(adjusted)[0])
     # Roots of matrices leave the reference 1e-12: it is the frame.
     free = np.repeat(np.arange(len(T)) != site.reference, POSE)
     parts = [replace(part, root=part.root * free[:, None]) for part in parts]
@@ -187,7 +187,7 @@ def _refined(
     return T, parts, [Reason("poles_and_scene_disagree", words, values)]
 
 
-def _check_conflicts(names: Sequence[str], scans: SiteScans, T: Array) -> None:
+def _check_conflicts(names: Sequence[str], scans: SiteScans, T: Array, way: Array) -> None:
     """Compare what stands around each two LiDARs under their poses.
 
     Raises
@@ -197,8 +197,9 @@ def _check_conflicts(names: Sequence[str], scans: SiteScans, T: Array) -> None:
     """
     for i, j in combinations(range(len(T)), 2):
         (target,), (source,) = scans.used(i), scans.used(j)
-        scenes = scenes_of([Placement(target, source)], np.random.default_rng(0))
-        found = count(scenes, se3.inverse(T[i]) @ T[j])
+        ways = se3.apply(se3.inverse(T[i]), way), se3.apply(se3.inverse(T[j]), way)
+        scene = scene_beside(Placement(target, source), ways)
+        found = count([scene], se3.inverse(T[i]) @ T[j])
         if is_in_conflict(found):
             with refusing_of(f"{names[i]} and {names[j]}"):
                 check_confirmation(found)

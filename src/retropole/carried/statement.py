@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..adjustment.agreement import (
     check_agreement,
@@ -26,6 +28,7 @@ from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.evidence import check_confirmation, count, is_in_conflict, scenes_of
 from ..hypotheses.placements import remaining_sway_in
 from ..surfaces.averaging import averaged
+from ..surfaces.consistency import SceneObjects
 from ..verdict import check_sensor, check_sway
 from .adjustment import Adjusted, in_recordings
 from .verdict import extent_of
@@ -36,6 +39,10 @@ MOST_PLACES = 400
 
 FEWEST_AXES = 20
 """So many places of the pole, evenly taken, stand for where it was."""
+
+CARRIER = 0.9
+"""The person who carries the pole is no further from it, level, metres: an arm that is half bent,
+and half a person (simulated people are within 0.6 m)."""
 
 NO_POSE = np.zeros((6, 6))
 """What is not known of the pose of the target: it is the frame."""
@@ -77,11 +84,13 @@ def state_walk(
     pose = walk if refined is None else refined.pose
     assert pose.covariance is not None
     check_contradiction(refined)
-    confirmation = count(scenes_of([about], np.random.default_rng(0)), pose.T_target_source)
+    way = points - origins.target
+    ways = way, se3.apply(se3.inverse(pose.T_target_source), way)
+    confirmation = count([scene_beside(about, ways)], pose.T_target_source)
     if is_in_conflict(confirmation):
         check_confirmation(confirmation)
     some = slice(None, None, max(1, len(points) // FEWEST_AXES))
-    axes = points[some] - origins.target, directions[some]
+    axes = way[some], directions[some]
     reasons, notes = warnings_and_notes(
         [
             *check_sensor("target", placement.target),
@@ -110,6 +119,31 @@ def state_walk(
         walk=_walk(found, points, directions),
     )
     return origins.moved_back(answer)
+
+
+def scene_beside(
+    placement: Placement, ways: tuple[Array, Array]
+) -> tuple[SceneObjects, SceneObjects]:
+    """Prepare both clouds, without what is near the way of the pole.
+
+    A LiDAR whose beams meet nothing twice does not show that it is a person who walks there.
+
+    Parameters
+    ----------
+    placement
+        About the beam origins.
+    ways
+        (S, 3) where the pole was, in the frame of each.
+    """
+    target, source = scenes_of([placement], np.random.default_rng(0))[0]
+    return _beside(target, ways[0]), _beside(source, ways[1])
+
+
+def _beside(objects: SceneObjects, way: Array) -> SceneObjects:
+    level = np.eye(3) - np.outer(objects.up, objects.up)
+    away, _ = cKDTree(way @ level).query(objects.points @ level)
+    far = away > CARRIER
+    return replace(objects, points=objects.points[far], voxel=objects.voxel[far])
 
 
 def _refined(walk: PoseEstimate, placement: Placement) -> Refinement | None:
