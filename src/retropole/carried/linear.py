@@ -255,6 +255,8 @@ def linearised(frame: Frame, state: State, spread: Array) -> System:
     every = range(len(frame.seen))
     parts = [_of_lidar(frame, state, lidar, spread[lidar]) for lidar in every]
     both = _Linear(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    counts = np.array([len(part.residuals) for part in parts])
+    del parts  # as large as all that is made of them
     rows, size = len(both.residuals), len(frame.precision)
     column = 4 * (both.interval[:, None] + np.arange(4))[:, :, None] + np.arange(4)
     column = np.broadcast_to(column.reshape(-1, 1, 16), (rows, 2, 16))
@@ -265,7 +267,6 @@ def linearised(frame: Frame, state: State, spread: Array) -> System:
         np.broadcast_to(both.columns[:, None, whole:], (rows, 2, RING)),
         size,
     )
-    counts = np.array([len(part.residuals) for part in parts])
     columns = both.columns[np.cumsum(counts) - counts, :whole]
     return System(
         both.residuals, J, both.by_border[:, :, :whole], columns, R, both.times,
