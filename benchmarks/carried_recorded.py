@@ -105,6 +105,21 @@ def where_to_walk(target: PointCloud, source: PointCloud, T: Array) -> Array:
     return se3.from_rt(np.eye(3), np.r_[middle, ground])
 
 
+def times_of(cloud: PointCloud, beams: RecordedBeams) -> Array:
+    """Times (M,) of beams: of one put back, that of the return next to it and of the turn since."""
+    assert cloud.time is not None
+    azimuth = np.arctan2(beams.directions[:, 1], beams.directions[:, 0])
+    own = np.lexsort((cloud.time, beams.rings[: len(cloud)]))
+    turned, after = _wrapped(np.diff(azimuth[own])), np.diff(cloud.time[own])
+    rate = float(np.median(turned[after > 0] / after[after > 0]))
+    since = _wrapped(azimuth - azimuth[beams.like]) / rate if len(azimuth) > len(cloud) else 0.0
+    return np.asarray(cloud.time[beams.like] + since)
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
 def planted(
     lidar: Lidar, walk: Walk, clock: float, rng: np.random.Generator
 ) -> Iterator[PointCloud]:
@@ -117,11 +132,11 @@ def planted(
     R, start = T_lidar_walk[:3, :3], lidar.T_walk_lidar[:3, 3]
     for k in range(int(walk.seconds / SWEEP_SECONDS)):
         cloud, beams = lidar.turns[k % len(lidar.turns)]
-        assert cloud.time is not None
         assert cloud.intensity is not None
         bias = np.r_[rings, 0.0][beams.rings] + offset
         rays = beams.directions @ R
-        times = (cloud.time - cloud.time.min())[beams.like] + SWEEP_SECONDS * k
+        times = times_of(cloud, beams)
+        times += SWEEP_SECONDS * k - times.min()
         toward = walk.hand(times[:1])[0] - start
         near = np.flatnonzero(rays @ toward > np.cos(0.5) * np.linalg.norm(toward))
         ranges, bright = beams.ranges.copy(), cloud.intensity[beams.like]
