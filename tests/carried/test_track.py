@@ -17,6 +17,7 @@ from retropole.carried.track import (
     _poles_in,
     find_track,
 )
+from retropole.extraction.poles import extract_poles
 from retropole.simulation import EXACT
 from retropole.simulation.walks import simulate_walk
 from tests.carried.walks import RADIUS, seen_walk
@@ -101,11 +102,10 @@ def test_a_sign_is_searched_again_now_and_then_and_a_pole_before_it_always(
     around = np.linspace(1.0, 5.0, 400)
     far = 20.0 * np.stack([np.cos(around), np.sin(around), 0.05 * np.cos(9 * around)], axis=1)
     searched = []
-    search = track_module.extract_poles
 
     def counted(part: PointCloud, **options: object) -> object:
         searched.append(len(part))
-        return search(part, **options)  # type: ignore[arg-type]
+        return extract_poles(part, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(track_module, "extract_poles", counted)
     barren: Counter[track_module.Box] = Counter()
@@ -120,7 +120,7 @@ def test_a_sign_is_searched_again_now_and_then_and_a_pole_before_it_always(
     assert sum(poles_in(sign, k) for k in range(1, 41)) == 0
     assert len(searched) == track_module.BARREN + 4
     # As it comes near to the sign, both are one cluster, and its ends are others.
-    before = pole_xyz + [8.4 - pole_xyz[:, 0].mean(), 0.9 - pole_xyz[:, 1].mean(), 0.0]
+    before = pole_xyz + np.array([8.4, 0.9, 0.0]) - pole_xyz.mean(axis=0) * [1, 1, 0]
     count = len(searched)
     assert [poles_in(np.concatenate([sign, before]), k) for k in range(41, 49)] == [1] * 8
     assert len(searched) == count + 8
