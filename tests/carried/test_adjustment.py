@@ -85,7 +85,8 @@ def test_derivatives_are_those_of_the_residuals() -> None:
         return linear.linearised(frame, at, scale).residuals.ravel()
 
     change = (residuals(1.0) - residuals(-1.0)) / 2
-    expected = system.by_coefs @ moved.ravel() + system.by_border @ step
+    by_lidar = np.einsum("nrk,nk->nr", system.by_lidar, step[system.columns[system.lidar]])
+    expected = system.by_coefs @ moved.ravel() + by_lidar.ravel() + system.by_rings @ step
     assert np.median(np.abs(change - expected)) < 0.02 * np.median(np.abs(expected))
 
 

@@ -1,5 +1,6 @@
 """The carried pole among what stands: found in each sweep, and nothing else."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
 from retropole.base.sensors import Threshold
+from retropole.carried import track as track_module
 from retropole.carried.track import (
     Found,
     _longest_way,
@@ -15,6 +17,7 @@ from retropole.carried.track import (
     _poles_in,
     find_track,
 )
+from retropole.extraction.poles import extract_poles
 from retropole.simulation import EXACT
 from retropole.simulation.walks import simulate_walk
 from tests.carried.walks import RADIUS, seen_walk
@@ -84,6 +87,40 @@ def test_a_pole_is_found_where_nothing_else_is_near() -> None:
         time=np.zeros(len(pole) + len(far)),
     )
     ranges = np.linalg.norm(cloud.xyz, axis=1)
-    poles = _poles_in(cloud, ranges, Threshold(200.0, "given"), None, RADIUS, 0)
+    poles = _poles_in(cloud, ranges, Threshold(200.0, "given"), None, RADIUS, 0, Counter())
     assert len(poles) == 1
     assert len(poles[0].xyz) >= len(pole) - 2
+
+
+def test_a_sign_is_searched_again_now_and_then_and_a_pole_before_it_always(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pole = seen_walk(1.0).tracks[0]
+    pole_xyz = pole.xyz[pole.sweep == 0]
+    y, z = (each.ravel() for each in np.meshgrid(np.linspace(-0.5, 0.5, 11), np.arange(0, 1, 0.1)))
+    sign = np.stack([np.full(len(y), 9.05), y + 0.05, z + 0.05], axis=1)
+    around = np.linspace(1.0, 5.0, 400)
+    far = 20.0 * np.stack([np.cos(around), np.sin(around), 0.05 * np.cos(9 * around)], axis=1)
+    searched = []
+
+    def counted(part: PointCloud, **options: object) -> object:
+        searched.append(len(part))
+        return extract_poles(part, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(track_module, "extract_poles", counted)
+    barren: Counter[track_module.Box] = Counter()
+
+    def poles_in(bright: np.ndarray, sweep: int) -> int:
+        intensity = np.repeat([255.0, 10.0], [len(bright), len(far)])
+        cloud = PointCloud(np.concatenate([bright, far]), intensity, time=np.zeros(len(intensity)))
+        ranges = np.linalg.norm(cloud.xyz, axis=1)
+        known = Threshold(200.0, "given"), None, RADIUS
+        return len(_poles_in(cloud, ranges, *known, sweep, barren))
+
+    assert sum(poles_in(sign, k) for k in range(1, 41)) == 0
+    assert len(searched) == track_module.BARREN + 4
+    # As it comes near to the sign, both are one cluster, and its ends are others.
+    before = pole_xyz + np.array([8.4, 0.9, 0.0]) - pole_xyz.mean(axis=0) * [1, 1, 0]
+    count = len(searched)
+    assert [poles_in(np.concatenate([sign, before]), k) for k in range(41, 49)] == [1] * 8
+    assert len(searched) == count + 8

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from ..base.systematic import RING_KINDS, Sizes, band_of
+from ..base.systematic import RING, RING_KINDS, Sizes, band_of
 from .rows import Rows, left_open
 from .start import Poses
 from .track import Track
@@ -165,11 +165,17 @@ def ring_bands(rows: Rows) -> IntArray:
 
 
 class System(NamedTuple):
-    """Linearised rows: residuals (N, 2) in σ, and derivatives by splines and border."""
+    """Linearised rows: residuals (N, 2) in σ, and derivatives by splines and border.
+
+    Those by the unknowns of a whole LiDAR are (N, 2, K) in `by_lidar`, at its places `columns`
+    (L, K) in the border; those by all else of the border are in `by_rings`.
+    """
 
     residuals: Array
     by_coefs: csr_array
-    by_border: csr_array
+    by_lidar: Array
+    columns: IntArray
+    by_rings: csr_array
     times: Array
     lidar: IntArray
     offset_slopes: Array
@@ -249,18 +255,30 @@ def linearised(frame: Frame, state: State, spread: Array) -> System:
     every = range(len(frame.seen))
     parts = [_of_lidar(frame, state, lidar, spread[lidar]) for lidar in every]
     both = _Linear(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-    rows, width = len(both.residuals), both.by_border.shape[2]
+    counts = np.array([len(part.residuals) for part in parts])
+    del parts  # as large as all that is made of them
+    rows, size = len(both.residuals), len(frame.precision)
     column = 4 * (both.interval[:, None] + np.arange(4))[:, :, None] + np.arange(4)
-    column = np.broadcast_to(column[:, None], (rows, 2, 4, 4)).reshape(-1)
-    ends = np.arange(0, 32 * rows + 1, 16)
-    shape = (2 * rows, 4 * frame.count)
-    J = csr_array((both.by_coefs.reshape(-1), column, ends), shape=shape)
-    column = np.repeat(both.columns[:, None], 2, axis=1).reshape(-1)
+    column = np.broadcast_to(column.reshape(-1, 1, 16), (rows, 2, 16))
+    J = _sparse(both.by_coefs.reshape(rows, 2, 16), column, 4 * frame.count)
+    whole = OF_LIDAR + DEVICE
+    R = _sparse(
+        both.by_border[:, :, whole:],
+        np.broadcast_to(both.columns[:, None, whole:], (rows, 2, RING)),
+        size,
+    )
+    columns = both.columns[np.cumsum(counts) - counts, :whole]
+    return System(
+        both.residuals, J, both.by_border[:, :, :whole], columns, R, both.times,
+        np.repeat(every, counts), both.by_clock, both.sigma, both.stated,
+    )  # fmt: skip
+
+
+def _sparse(values: Array, columns: IntArray, size: int) -> csr_array:
+    """Make a matrix (2 N, size) of values (N, 2, K) at columns (N, 2, K)."""
+    rows, _, width = values.shape
     ends = np.arange(0, 2 * rows * width + 1, width)
-    shape = (2 * rows, len(frame.precision))
-    K = csr_array((both.by_border.reshape(-1), column, ends), shape=shape)
-    lidar = np.repeat(every, [len(part.residuals) for part in parts])
-    return System(both.residuals, J, K, both.times, lidar, both.by_clock, both.sigma, both.stated)
+    return csr_array((values.reshape(-1), columns.reshape(-1), ends), shape=(2 * rows, size))
 
 
 class _Linear(NamedTuple):

@@ -114,14 +114,17 @@ def _fit(
     for _ in range(3):
         u, _, vt = np.linalg.svd(to_along[kept].T @ along[kept])
         R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-        turned = point @ R.T
-        across = np.eye(3) - to_along[:, :, None] * to_along[:, None, :]
-        normal = across[kept].sum(axis=0)
-        gap = np.einsum("nij,nj->ni", across, to - turned)
+        gap = _across(to_along, to - point @ R.T)
+        normal = np.count_nonzero(kept) * np.eye(3) - to_along[kept].T @ to_along[kept]
         t = np.linalg.lstsq(normal, gap[kept].sum(axis=0), rcond=1e-6)[0]
-        distance = np.linalg.norm(gap - across @ t, axis=1)
+        distance = np.linalg.norm(gap - _across(to_along, t), axis=1)
         angle = np.arccos(np.clip(np.einsum("ni,ni->n", to_along, along @ R.T), -1, 1))
         off = angle + distance / METRES_PER_RADIAN
         kept = off <= 3 * np.median(off)
     cost = float(np.median(angle) + np.median(distance) / METRES_PER_RADIAN)
     return Start(se3.from_rt(R, t), tau, cost, flipped, len(to))
+
+
+def _across(along: Array, offsets: Array) -> Array:
+    """Parts (N, 3) of offsets, (N, 3) or (3,), across unit vectors (N, 3)."""
+    return np.asarray(offsets - (along * offsets).sum(axis=1)[:, None] * along)

@@ -51,7 +51,7 @@ def extract_poles(
     sensor: Sensor | None = None,
     threshold: float | None = None,
     radius: float = DEFAULT_RADIUS,
-    look_for_rings: bool = True,
+    is_part: bool = False,
 ) -> Detection:
     """Find the taped poles in a cloud, and say of every other bright thing why it is not one.
 
@@ -66,8 +66,9 @@ def extract_poles(
     radius
         Of the poles, metres. Thicker posts are doubtful: to about 0.07 m, and to 0.1 m where they
         are short.
-    look_for_rings
-        Whether points without rings are searched for them, which takes most of the time.
+    is_part
+        Whether it is a part of a cloud whose beams and rings are known, as its origin, axis and
+        rings: none of them is looked at again, which takes more time than the poles.
 
     Returns
     -------
@@ -85,9 +86,10 @@ def extract_poles(
     if cloud.intensity is None or len(cloud) == 0 or np.ptp(cloud.intensity) == 0:
         raise _without_intensity(cloud)
     check_coordinates(cloud)
-    cloud = with_beam_origin(with_trusted_rings(cloud))
-    check_sensor(cloud, sensor)
-    cloud = with_rings(cloud, sensor) if look_for_rings else cloud
+    if not is_part:
+        cloud = with_beam_origin(with_trusted_rings(cloud))
+        check_sensor(cloud, sensor)
+        cloud = with_rings(cloud, sensor)
     assert cloud.intensity is not None
     ranges = lengths(cloud.xyz - cloud.origin)
     chosen = threshold_for(cloud.intensity, ranges, sensor, threshold)
