@@ -30,7 +30,6 @@ from retropole.hypotheses.one_pole import (
     SETTLES,
     SLIDE,
     matches_about,
-    registered_in_map,
 )
 from retropole.hypotheses.prior import PosePrior
 from retropole.pipeline import Options, calibrate

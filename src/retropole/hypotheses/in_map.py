@@ -1,0 +1,95 @@
+"""A LiDAR registered to a map: to what cannot have driven off, and how far that can be relied on.
+
+Trunks, posts and corners determine what flat surfaces leave open, the position along a street, but
+one of them may have been moved. So the registration is repeated from either side of the pose along
+what is open, each time without a quarter of the surroundings by bearing. Where the rest does not
+bring it back, a single thing decides; the scatter of where it ends is the delete-d jackknife (Shao
+and Wu 1989).
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..base import se3
+from ..base.datatypes import Array, Placement, PointCloud
+from ..surfaces.averaging import averaged
+from ..surfaces.consistency import movable_objects
+from ..surfaces.registration import MIN_CLOUD_POINTS, Surface, surface_of, voxel_downsample
+from ..surfaces.visibility import SCORING_VOXEL, tree_of
+from .icp_refinement import registered
+from .one_pole import SETTLES
+
+SECTORS, LEFT_OUT = 8, 2
+"""Sectors by bearing, and how many next to each other are left out at once."""
+
+ASIDE = 1.5
+"""How far from the pose the registration starts again, in the 1 σ that surroundings are taken to
+give (`alignment.adjustment.SURROUNDINGS_SIGMA`): 3° and 0.3 m, within `one_pole.SETTLES`."""
+
+
+def registered_in_map(placement: Placement, T: Array) -> Array:
+    """Register a LiDAR from a pose (4, 4) to what cannot have driven off since a map was made.
+
+    Cars that stand near where others stood draw a registration to all surfaces along with them.
+    Where too little is left the pose is given back.
+    """
+    target, source = (averaged(scan.cloud) for scan in placement.scans)
+    surface, tree = _without_movable(target)
+    if surface is None:
+        return T
+    found = registered(surface, tree, voxel_downsample(source.xyz, SCORING_VOXEL), T, near=SETTLES)
+    return T if found is None else found
+
+
+def _without_movable(target: PointCloud) -> tuple[Surface | None, cKDTree]:
+    points = voxel_downsample(target.xyz, SCORING_VOXEL)
+    points = points[movable_objects(target, points) == 0]
+    surface = surface_of(points) if len(points) >= MIN_CLOUD_POINTS else None
+    return surface, tree_of(points)
+
+
+def scatter_without_sectors(
+    target: PointCloud, source: PointCloud, T: Array, ways: Array, unit: Array, most: float
+) -> Array | None:
+    """Register without each part of the surroundings, from either side along some directions.
+
+    Parameters
+    ----------
+    target, source
+        The map, and what the LiDAR recorded.
+    T
+        (4, 4) the pose that all of it registered.
+    ways, unit
+        (6, N) orthonormal directions of steps from there (`se3.retract`), in units (6,), rad and m.
+    most
+        Largest 1 σ of use, in these units.
+
+    Returns
+    -------
+    Array or None
+        (N, N) covariance of T along them; None above `most`.
+    """
+    surface, tree = _without_movable(target)
+    if surface is None:
+        return None
+    points = voxel_downsample(source.xyz, SCORING_VOXEL)
+    x, y = (se3.apply(T, points) - T[:3, 3])[:, :2].T
+    sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64)
+    starts = [se3.retract(T, side * unit * way) for way, side in product(ways.T, (-ASIDE, ASIDE))]
+    # Each of the sectors is left out with its neighbour, from each start.
+    weight = (SECTORS - LEFT_OUT) / LEFT_OUT / (SECTORS * len(starts))
+    covariance = np.zeros((ways.shape[1], ways.shape[1]))
+    for k, start in product(range(SECTORS), starts):
+        rest = points[(sector - k) % SECTORS >= LEFT_OUT]
+        end = registered(surface, tree, rest, start, near=SETTLES)
+        if end is None:
+            return None
+        off = (se3.local(T, end) / unit) @ ways
+        covariance += weight * np.outer(off, off)
+        if np.linalg.eigvalsh(covariance)[-1] > most**2:
+            return None
+    return covariance
