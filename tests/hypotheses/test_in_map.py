@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from retropole.adjustment.refinement import refine
 from retropole.alignment.adjustment import SURROUNDINGS_SIGMA
 from retropole.base import se3
-from retropole.base.datatypes import Array, Placement, PointCloud, Scan
-from retropole.hypotheses.by_place import HELD
-from retropole.hypotheses.in_map import registered_in_map, scatter_without_sectors
+from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate, Scan
+from retropole.hypotheses.by_place import HELD, MAP_SIGMA, is_constrained
+from retropole.hypotheses.in_map import registered_in_map, scatter_without_parts
 from tests.tiers import first_of
 
 ALONG = np.eye(6)[:, 3:4]
@@ -22,15 +23,20 @@ def trunk(rng: np.random.Generator, at: Sequence[float], count: int = 1500) -> A
     """Points (N, 3) all around a trunk."""
     angle = rng.uniform(0, 2 * np.pi, count)
     around = at + 0.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.c_[around, rng.uniform(-2, 4, count)]
+    return np.asarray(np.c_[around, rng.uniform(-2, 4, count)])
 
 
-def street(rng: np.random.Generator, trunks: Sequence[Sequence[float]]) -> PointCloud:
-    """Ground, two fronts along x and trunks, with 1 cm of noise."""
+def street(
+    rng: np.random.Generator,
+    trunks: Sequence[Sequence[float]],
+    moved: float = 0.0,
+    shorter: float = 15.0,
+) -> PointCloud:
+    """Ground, two fronts along x and trunks, with 1 cm of noise; one front moved, one shorter."""
     ground = np.c_[rng.uniform(-15, 15, (12_000, 2)), np.full(12_000, -2.0)]
     fronts = [
-        np.c_[rng.uniform(-15, 15, 6000), np.full(6000, y), rng.uniform(-2, 3, 6000)]
-        for y in (-6.0, 6.0)
+        np.c_[rng.uniform(-half, half, n), np.full(n, y), rng.uniform(-2, 3, n)]
+        for y, half, n in ((-6.0, shorter, int(400 * shorter)), (6.0 + moved, 15.0, 6000))
     ]
     xyz = np.concatenate([ground, *fronts, *(trunk(rng, at) for at in trunks)])
     return PointCloud(xyz + rng.normal(0, 0.01, xyz.shape), is_map=True)
@@ -44,7 +50,7 @@ def along(now: Sequence[Sequence[float]]) -> tuple[float, float | None]:
     rng = np.random.default_rng(4)
     given, seen = street(rng, TRUNKS[: len(now)]), street(rng, now)
     T = registered_in_map(Placement(Scan(given), Scan(seen)), np.eye(4))
-    found = scatter_without_sectors(given, seen, T, ALONG, SURROUNDINGS_SIGMA, HELD)
+    found = scatter_without_parts(given, seen, T, ALONG, SURROUNDINGS_SIGMA, HELD)
     sigma = None if found is None else SURROUNDINGS_SIGMA[3] * float(np.sqrt(found[0, 0]))
     return float(se3.local(T, np.eye(4))[3]), sigma
 
@@ -82,3 +88,20 @@ def test_in_a_map_cars_that_parked_elsewhere_do_not_draw_a_registration() -> Non
     ]
     found = registered_in_map(Placement(scans[0], scans[1]), np.eye(4))
     assert np.linalg.norm(found[:3, 3]) < 0.03
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("moved", "shorter"), first_of([(0.2, 15.0), (-0.2, 15.0), (0.2, 7.0), (-0.2, 7.0)])
+)
+def test_a_front_that_moved_by_20_cm_does_not_draw_a_pose_that_counts(
+    moved: float, shorter: float
+) -> None:
+    """The pose is right, or nothing says where across the street it is, which is refused."""
+    rng = np.random.default_rng(1)
+    given, seen = street(rng, TRUNKS, 0.0, shorter), street(rng, TRUNKS, moved, shorter)
+    T = registered_in_map(Placement(Scan(given), Scan(seen)), np.eye(4))
+    found = refine(given, seen, PoseEstimate(T, np.diag(MAP_SIGMA**2), 0.01))
+    assert found is not None
+    off = np.linalg.norm(found.pose.T_target_source[:3, 3])
+    assert off < 0.03 or not is_constrained(found.held)

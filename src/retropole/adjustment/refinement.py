@@ -9,7 +9,9 @@ One place may decide a direction of the pose alone. A robust loss bounds how far
 not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
 residual is no check. So the answer is sought again without each such place, with weights and
 partners anew, and what is stated covers both. Since a map was made cars may have driven off and
-others parked almost there: whatever may have is one place, however large.
+others parked almost there: whatever may have is one place, however large. What the surfaces leave
+open in a map, the registration gives, as far as it does without each part of the surroundings
+(`hypotheses.in_map`).
 
 From where the search for the refined pose starts again, and when two ends are two minima.
 """
@@ -41,7 +43,7 @@ from ..base.uncertainty import SIGMAS, Uncertainty
 from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
 from ..hypotheses.by_place import HELD
-from ..hypotheses.in_map import scatter_without_sectors
+from ..hypotheses.in_map import scatter_without_parts
 from ..hypotheses.placements import PairedPlacement, merge_clouds, remaining_sway_in
 from ..surfaces.averaging import averaged
 from ..surfaces.consistency import movable_objects
@@ -369,7 +371,7 @@ def refine(
     known = (ErrorModel() if model is None else model).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
     lever = float(np.median(se3.lengths(source.xyz - source.origin)))
-    scatter = partial(scatter_without_sectors, target, source) if target.is_map else None
+    scatter = partial(scatter_without_parts, target, source) if target.is_map else None
     return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, scatter)
 
 
@@ -439,7 +441,7 @@ def refine_pair(
         more = _of_registration(problem, best, poles.T_target_source, scatter)
         if more is not None:
             problem = replace(problem, factor=more)
-            best = converge(problem, best, covariance)
+            (best,) = _converged(problem, [best], covariance) or [best]
     parts = parts_of(problem, best)
     own = uncertainty_of_pair(parts).covariance
     decisive, by_places = [], np.zeros((POSE, POSE))
@@ -489,7 +491,7 @@ def refine_pair(
 
 
 Scatter = Callable[[Array, Array, Array, float], Array | None]
-"""`in_map.scatter_without_sectors` of two clouds."""
+"""`in_map.scatter_without_parts` of two clouds."""
 
 
 def _of_registration(
