@@ -83,10 +83,8 @@ def scatter_without_parts(
     points = voxel_downsample(source.xyz, SCORING_VOXEL)
     x, y = (se3.apply(T, points) - T[:3, 3])[:, :2].T
     sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * EIGHTHS).astype(np.int64)
-    starts = [
-        se3.retract(T, side * unit * way)
-        for way, side in product(ways.T, (-START_ASIDE, START_ASIDE))
-    ]
+    sides = product(ways.T, (-START_ASIDE, START_ASIDE))
+    starts = [se3.retract(T, side * unit * way) for way, side in sides]
     # Each of the sectors is left out with its neighbour, from each start.
     weight = (EIGHTHS - LEFT_OUT) / LEFT_OUT / (EIGHTHS * len(starts))
     covariance = np.zeros((ways.shape[1], ways.shape[1]))
