@@ -17,7 +17,6 @@ from retropole.base.datatypes import (
     Placement,
     PointCloud,
     Pole,
-    Scan,
 )
 from retropole.base.errors import UsageError
 from retropole.hypotheses import one_pole as about
@@ -30,7 +29,6 @@ from retropole.hypotheses.one_pole import (
     SETTLES,
     SLIDE,
     matches_about,
-    registered_in_map,
 )
 from retropole.hypotheses.prior import PosePrior
 from retropole.pipeline import Options, calibrate
@@ -231,29 +229,3 @@ def test_what_the_place_does_not_tell_is_refused(pair: SimulatedPair) -> None:
 def test_one_of_poles_and_scene_must_give_the_pose(pair: SimulatedPair) -> None:
     with pytest.raises(UsageError, match="scene must determine the pose"):
         calibrate(pair.target, pair.source, options=Options(poles=0, scene=False))
-
-
-def test_in_a_map_cars_that_parked_elsewhere_do_not_draw_a_registration() -> None:
-    rng = np.random.default_rng(6)
-    ground = np.c_[rng.uniform(-15, 15, (40_000, 2)), np.full(40_000, -2.0)]
-    trunks = np.concatenate(
-        [
-            np.c_[np.array([x, y]) + 0.2 * turned(rng, 1500), rng.uniform(-2, 4, 1500)]
-            for x, y in ((-9.0, 4.0), (7.0, 5.0), (2.0, -8.0))
-        ]
-    )
-    cars = rng.uniform([4, -5, -1.9], [8, -3, -0.4], (6000, 3))
-    cars[:, 0] = np.where(rng.random(6000) < 0.5, 4.0, 8.0)
-    now = np.concatenate([ground, trunks, cars + np.array([0.2, 0.0, 0.0])])
-    scans = [
-        Scan(PointCloud(np.concatenate([ground, trunks, cars]), is_map=True)),
-        Scan(PointCloud(now)),
-    ]
-    found = registered_in_map(Placement(scans[0], scans[1]), np.eye(4))
-    assert np.linalg.norm(found[:3, 3]) < 0.03
-
-
-def turned(rng: np.random.Generator, count: int) -> Array:
-    """Unit vectors (N, 2) in all directions."""
-    angle = rng.uniform(0, 2 * np.pi, count)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -9,20 +9,23 @@ One place may decide a direction of the pose alone. A robust loss bounds how far
 not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
 residual is no check. So the answer is sought again without each such place, with weights and
 partners anew, and what is stated covers both. Since a map was made cars may have driven off and
-others parked almost there: whatever may have is one place, however large.
+others parked almost there: whatever may have is one place, however large. What the surfaces leave
+open in a map, the registration gives, as far as it does without each part of the surroundings
+(`hypotheses.in_map`).
 
 From where the search for the refined pose starts again, and when two ends are two minima.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from ..alignment.adjustment import BeamAlignment
+from ..alignment.adjustment import SURROUNDINGS_SIGMA, BeamAlignment
 from ..alignment.certainty import (
     Part,
     chi2_limit,
@@ -39,6 +42,8 @@ from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
 from ..base.uncertainty import SIGMAS, Uncertainty
 from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
+from ..hypotheses.by_place import HELD
+from ..hypotheses.in_map import scatter_without_parts
 from ..hypotheses.placements import PairedPlacement, merge_clouds, remaining_sway_in
 from ..surfaces.averaging import averaged
 from ..surfaces.consistency import movable_objects
@@ -366,8 +371,8 @@ def refine(
     known = (ErrorModel() if model is None else model).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
     lever = float(np.median(se3.lengths(source.xyz - source.origin)))
-    distortion = MAP_DISTORTION if target.is_map else None
-    return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, distortion)
+    scatter = partial(scatter_without_parts, target, source) if target.is_map else None
+    return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, scatter)
 
 
 def refine_pair(
@@ -376,7 +381,7 @@ def refine_pair(
     patches: tuple[Patches, Patches],
     lever: float,
     start: Array | None = None,
-    distortion: Array | None = None,
+    scatter: Scatter | None = None,
 ) -> Refinement | None:
     """Search the pose that poles and scene agree on from several starts, and say how certain it is.
 
@@ -392,8 +397,8 @@ def refine_pair(
         Half of the second's points lie beyond this range, metres.
     start
         (4, 4) where the search starts; None takes the poles' pose.
-    distortion
-        (6, 6) how far the target may be off where the source is, rad and m: of a map.
+    scatter
+        Of a map: the covariance of a registration along what is open.
 
     Returns
     -------
@@ -420,7 +425,7 @@ def refine_pair(
         mahalanobis_sq = _disagreement(problem, best, poles, within=True)
     highest = best
     # In a map both are of the same surfaces: the wider search meets the backs of thin ones.
-    disagree = mahalanobis_sq > DISAGREE and distortion is None
+    disagree = mahalanobis_sq > DISAGREE and scatter is None
     if disagree:
         # One of both is wrong by more than it states (Birge 1932): the poles count for as much
         # less.
@@ -429,10 +434,14 @@ def refine_pair(
         best = _converged_anew(problem, best, covariance / share) or best
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T[1])
         mahalanobis_sq = max(mahalanobis_sq, moved)
-    if distortion is not None:
+    if scatter is not None:
         # The registration was of the same surfaces: it says where to search, and nothing more.
         problem = replace(problem, factor=problem.factor.weakened(UNSURE))
         best = _converged_anew(problem, best, covariance / UNSURE) or best
+        more = _of_registration(problem, best, poles.T_target_source, scatter)
+        if more is not None:
+            problem = replace(problem, factor=more)
+            (best,) = _converged(problem, [best], covariance) or [best]
     parts = parts_of(problem, best)
     own = uncertainty_of_pair(parts).covariance
     decisive, by_places = [], np.zeros((POSE, POSE))
@@ -441,8 +450,8 @@ def refine_pair(
         less = excess(uncertainty_of_pair(parts_of(without, rest)).covariance, own)
         by_places += less + np.outer(place.apart, place.apart)
     others = [("one place that decides", by_places)] if decisive else []
-    if distortion is not None:
-        others.append((DISTORTION, distortion))
+    if scatter is not None:
+        others.append((DISTORTION, MAP_DISTORTION))
         # What a LiDAR may err by, its map may bend by: it has neither an axis nor an encoder.
         parts = tuple(
             part_of(DISTORTION, part.root, is_random=part.is_random) if part.lidar == 0 else part
@@ -479,6 +488,32 @@ def refine_pair(
         _scale_wanted(best, problem),
         tuple(decisive),
     )
+
+
+Scatter = Callable[[Array, Array, Array, float], Array | None]
+"""`in_map.scatter_without_parts` of two clouds."""
+
+
+def _of_registration(
+    problem: RefinementProblem, best: End, T: Array, scatter: Scatter
+) -> PoleFactor | None:
+    """Add what a registration (4, 4) shows along the directions that the surfaces leave open.
+
+    Along all others it is of the same surfaces. None if nothing is open, or the registration does
+    not determine it either.
+    """
+    unit = SURROUNDINGS_SIGMA
+    own = uncertainty_of_pair(parts_of(problem, best)).covariance / np.outer(unit, unit)
+    variance, ways = np.linalg.eigh(own)
+    ways = ways[:, variance > HELD**2]
+    covariance = scatter(T, ways, unit, HELD) if ways.size else None
+    if covariance is None:
+        return None
+    by = ways.T / unit
+    factor = problem.factor.about(poses_of_pair(T))
+    information = factor.information.copy()
+    information[POSE : 2 * POSE, POSE : 2 * POSE] += by.T @ np.linalg.solve(covariance, by)
+    return replace(factor, information=information)
 
 
 def _converged(problem: RefinementProblem, starts: Sequence[End], covariance: Array) -> list[End]:

@@ -31,7 +31,8 @@ from .correspondence import same_pose
 from .evidence import MAX_WRONG, MIN_TOTAL, grounds_of, raises_grounds, under
 from .evidence import count as agreement
 from .icp_refinement import MOST_REFINED
-from .one_pole import matches_about, matches_from_above, registered_in_map
+from .in_map import registered_in_map
+from .one_pole import matches_about, matches_from_above
 from .placements import (
     Chosen,
     PairedPlacement,

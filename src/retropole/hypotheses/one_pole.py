@@ -31,10 +31,9 @@ from ..surfaces.consistency import (
     HALF_SIDE,
     SceneObjects,
     is_ground_on_ground,
-    movable_objects,
 )
-from ..surfaces.registration import MIN_CLOUD_POINTS, surface_of, voxel_downsample
-from ..surfaces.visibility import SCORING_VOXEL, tree_of
+from ..surfaces.registration import voxel_downsample
+from ..surfaces.visibility import SCORING_VOXEL
 from .candidate_confirmation import FACING_SIDES
 from .correspondence import EXTENSION_RMS, extended, same_pose
 from .icp_refinement import prepared, registered
@@ -161,23 +160,6 @@ def _settling(placement: Placement) -> Callable[[Array, Array], Array | None]:
         return ends[start]
 
     return settled
-
-
-def registered_in_map(placement: Placement, T: Array) -> Array:
-    """Register a LiDAR from a pose (4, 4) to objects that cannot have driven off since a map was
-    made.
-
-    Cars near the former positions of others bias a registration to all surfaces. If
-    too little is left, the pose is returned unchanged.
-    """
-    target, source = (averaged(scan.cloud) for scan in placement.scans)
-    points = voxel_downsample(target.xyz, SCORING_VOXEL)
-    points = points[movable_objects(target, points) == 0]
-    if len(points) < MIN_CLOUD_POINTS:
-        return T
-    moving = voxel_downsample(source.xyz, SCORING_VOXEL)
-    found = registered(surface_of(points), tree_of(points), moving, T, near=SETTLES)
-    return T if found is None else found
 
 
 def match_under(
