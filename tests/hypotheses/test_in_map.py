@@ -11,7 +11,7 @@ from retropole.adjustment.refinement import refine
 from retropole.alignment.adjustment import SURROUNDINGS_SIGMA
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate, Scan
-from retropole.hypotheses.by_place import HELD, MAP_SIGMA, is_constrained
+from retropole.hypotheses.by_place import DETERMINED, MAP_SIGMA, is_constrained
 from retropole.hypotheses.in_map import registered_in_map, scatter_without_parts
 from tests.tiers import first_of
 
@@ -50,7 +50,7 @@ def along(now: Sequence[Sequence[float]]) -> tuple[float, float | None]:
     rng = np.random.default_rng(4)
     given, seen = street(rng, TRUNKS[: len(now)]), street(rng, now)
     T = registered_in_map(Placement(Scan(given), Scan(seen)), np.eye(4))
-    found = scatter_without_parts(given, seen, T, ALONG, SURROUNDINGS_SIGMA, HELD)
+    found = scatter_without_parts(given, seen, T, ALONG, SURROUNDINGS_SIGMA, DETERMINED)
     sigma = None if found is None else SURROUNDINGS_SIGMA[3] * float(np.sqrt(found[0, 0]))
     return float(se3.local(T, np.eye(4))[3]), sigma
 

@@ -42,7 +42,7 @@ from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
 from ..base.uncertainty import SIGMAS, Uncertainty
 from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
-from ..hypotheses.by_place import HELD
+from ..hypotheses.by_place import DETERMINED
 from ..hypotheses.in_map import scatter_without_parts
 from ..hypotheses.placements import PairedPlacement, merge_clouds, remaining_sway_in
 from ..surfaces.averaging import averaged
@@ -505,8 +505,8 @@ def _of_registration(
     unit = SURROUNDINGS_SIGMA
     own = uncertainty_of_pair(parts_of(problem, best)).covariance / np.outer(unit, unit)
     variance, ways = np.linalg.eigh(own)
-    ways = ways[:, variance > HELD**2]
-    covariance = scatter(T, ways, unit, HELD) if ways.size else None
+    ways = ways[:, variance > DETERMINED**2]
+    covariance = scatter(T, ways, unit, DETERMINED) if ways.size else None
     if covariance is None:
         return None
     by = ways.T / unit
