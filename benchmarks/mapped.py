@@ -1,7 +1,7 @@
 """A LiDAR in an existing map: how often it is found, how exactly, and what is said of a wrong map.
 
 A place is recorded by 3 to 8 LiDARs with all the errors of the field. Their clouds are put together
-by poses that err as `base.systematic.MAP_DISTORTION` has it (5 mm, and 5 mm at 30 m), thinned to 5,
+by poses that err as `base.systematic.map_distortion` has it (5 mm, and 5 mm at 30 m), thinned to 5,
 10 or 20 cm, and get noise of 5 to 30 mm: the map. Another LiDAR is calibrated to it from a rough
 place (2 m, 1 σ), without a heading. In some draws cars were moved since, or something large, and in
 a fifth the map is of another place. Prints a Markdown table, and the peak memory. What both share
@@ -41,7 +41,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
-from retropole.base.systematic import MAP_DISTORTION
+from retropole.base.systematic import map_distortion
 from retropole.checking.methods import missing_extra
 from retropole.checking.rivals import FUNCTIONS
 from retropole.hypotheses.prior import PosePrior
@@ -123,7 +123,7 @@ def draw(seed: int) -> Draw:
         pose = pose_in(clear, rng)
         device = draw_device(sensor, FIELD, rng)
         cloud = scan(then, sensor, pose, rng, noise=FIELD, device=device).cloud
-        off = rng.multivariate_normal(np.zeros(6), MAP_DISTORTION)
+        off = rng.multivariate_normal(np.zeros(6), map_distortion())
         pieces.append(se3.apply(se3.retract(pose, off), cloud.xyz))
     xyz = voxel_downsample(np.concatenate(pieces), float(rng.choice(THINNING)))
     xyz = xyz + rng.normal(0, rng.uniform(*NOISE), xyz.shape)

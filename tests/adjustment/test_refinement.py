@@ -24,7 +24,7 @@ from retropole.base.errors import Refusal
 from retropole.base.sensors import find_sensor
 from retropole.base.systematic import ErrorModel, Layout, Sizes, sizes_of
 from retropole.checking.metrics import e_rt
-from retropole.hypotheses.by_place import MAP_SIGMA
+from retropole.hypotheses.by_place import REGISTRATION_SIGMA
 from retropole.hypotheses.placements import align
 from retropole.hypotheses.search import choose
 from retropole.io import read_cloud
@@ -501,7 +501,7 @@ def street(rng: np.random.Generator, car_at: float, count: int = 12_000) -> Arra
 @pytest.mark.parametrize("moved", first_of([0.2, -0.15, 0.0]))
 def test_in_a_map_a_car_that_parked_elsewhere_does_not_draw_the_pose(moved: float) -> None:
     rng = np.random.default_rng(2)
-    poles = PoseEstimate(np.eye(4), np.diag(MAP_SIGMA**2), 0.01)
+    poles = PoseEstimate(np.eye(4), np.diag(REGISTRATION_SIGMA**2), 0.01)
     found = refine(
         PointCloud(street(rng, 4.0), is_map=True), PointCloud(street(rng, 4.0 + moved)), poles
     )
@@ -509,6 +509,21 @@ def test_in_a_map_a_car_that_parked_elsewhere_does_not_draw_the_pose(moved: floa
     assert found.pose.covariance is not None
     assert np.linalg.norm(found.pose.T_target_source[:3, 3]) < 0.02
     assert mahalanobis_sq(found.pose, np.eye(4)) < CHI2_6_95
+
+
+@pytest.mark.full
+def test_the_errors_of_a_map_add_to_those_of_the_pose() -> None:
+    rng = np.random.default_rng(2)
+    poles = PoseEstimate(np.eye(4), np.diag(REGISTRATION_SIGMA**2), 0.01)
+    given, seen = PointCloud(street(rng, 4.0), is_map=True), PointCloud(street(rng, 4.0))
+    exact, coarse = (refine(replace(given, map_sigma=own), seen, poles) for own in (0.0, 0.03))
+    assert exact is not None
+    assert coarse is not None
+    np.testing.assert_array_equal(exact.pose.T_target_source, coarse.pose.T_target_source)
+    assert exact.pose.covariance is not None
+    assert coarse.pose.covariance is not None
+    more = coarse.pose.covariance - exact.pose.covariance
+    np.testing.assert_allclose(more, np.diag(np.repeat([1e-3, 0.03], 3) ** 2), atol=1e-12)
 
 
 @pytest.mark.full
@@ -521,10 +536,10 @@ def test_an_object_that_moved_is_left_out_as_a_whole() -> None:
     )
     objects = movable_objects(given, patches[1].centres)
     assert set(objects) == {0, 1, 2}
-    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(MAP_SIGMA**2))
+    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(REGISTRATION_SIGMA**2))
     assert len(kept.source.centres) == np.count_nonzero(objects == 0)
     same = patches[0], surface_patches(PointCloud(street(rng, 4.0)))
     sets = prepare_patches(*same, Layout((np.unique(same[0].bands), np.unique(same[1].bands))))
     objects = movable_objects(given, same[1].centres)
-    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(MAP_SIGMA**2))
+    kept = without_moved(by_objects(sets, objects), np.eye(4), np.diag(REGISTRATION_SIGMA**2))
     assert len(kept.source.centres) == len(objects)

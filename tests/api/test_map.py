@@ -91,5 +91,7 @@ def test_a_map_of_another_place_is_refused() -> None:
 def test_a_place_is_of_use_in_a_map_alone_and_a_map_needs_its_surfaces() -> None:
     with pytest.raises(UsageError, match="--map"):
         rp.calibrate("a.las", "b.pcd", options=rp.RunConfig(prior_xyz=(1.0, 2.0, 3.0)))
+    with pytest.raises(UsageError, match="--map-sigma-m"):
+        rp.calibrate("a.las", "b.pcd", options=rp.RunConfig(map_sigma_m=0.02))
     with pytest.raises(UsageError, match="--no-refine"):
         rp.calibrate("a.las", "b.pcd", options=rp.RunConfig(map=True, refine=False))

@@ -11,7 +11,7 @@ from retropole.adjustment.refinement import refine
 from retropole.alignment.adjustment import SURROUNDINGS_SIGMA
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate, Scan
-from retropole.hypotheses.by_place import DETERMINED, MAP_SIGMA, is_constrained
+from retropole.hypotheses.by_place import DETERMINED, REGISTRATION_SIGMA, is_constrained
 from retropole.hypotheses.in_map import registered_in_map, scatter_without_parts
 from tests.tiers import first_of
 
@@ -101,7 +101,7 @@ def test_a_front_that_moved_by_20_cm_does_not_draw_a_pose_that_counts(
     rng = np.random.default_rng(1)
     given, seen = street(rng, TRUNKS, 0.0, shorter), street(rng, TRUNKS, moved, shorter)
     T = registered_in_map(Placement(Scan(given), Scan(seen)), np.eye(4))
-    found = refine(given, seen, PoseEstimate(T, np.diag(MAP_SIGMA**2), 0.01))
+    found = refine(given, seen, PoseEstimate(T, np.diag(REGISTRATION_SIGMA**2), 0.01))
     assert found is not None
     off = np.linalg.norm(found.pose.T_target_source[:3, 3])
     assert off < 0.03 or not is_constrained(found.held)

@@ -38,7 +38,7 @@ from ..alignment.network import PoleFactor, gaussian_factor, poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
-from ..base.systematic import DEVICE_KINDS, MAP_DISTORTION, ErrorModel
+from ..base.systematic import DEVICE_KINDS, ErrorModel, map_distortion
 from ..base.uncertainty import SIGMAS, Uncertainty
 from ..base.uncertainty.purpose import CONFIDENCE
 from ..extraction.sensor_pattern import error_sizes
@@ -371,8 +371,11 @@ def refine(
     known = (ErrorModel() if model is None else model).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
     lever = float(np.median(se3.lengths(source.xyz - source.origin)))
-    scatter = partial(scatter_without_parts, target, source) if target.is_map else None
-    return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, scatter)
+    in_map = None
+    if target.is_map:
+        scatter = partial(scatter_without_parts, target, source)
+        in_map = InMap(scatter, map_distortion(target.map_sigma))
+    return refine_pair(problem, poles, (patches[0], patches[1]), lever, start, in_map)
 
 
 def refine_pair(
@@ -381,7 +384,7 @@ def refine_pair(
     patches: tuple[Patches, Patches],
     lever: float,
     start: Array | None = None,
-    scatter: Scatter | None = None,
+    in_map: InMap | None = None,
 ) -> Refinement | None:
     """Search the pose that poles and scene agree on from several starts, and say how certain it is.
 
@@ -397,8 +400,8 @@ def refine_pair(
         Half of the second's points lie beyond this range, metres.
     start
         (4, 4) where the search starts; None takes the poles' pose.
-    scatter
-        Of a map: the covariance of a registration along what is open.
+    in_map
+        What is known of the first, if it is a map.
 
     Returns
     -------
@@ -425,7 +428,7 @@ def refine_pair(
         mahalanobis_sq = _disagreement(problem, best, poles, within=True)
     highest = best
     # In a map both are of the same surfaces: the wider search meets the backs of thin ones.
-    disagree = mahalanobis_sq > DISAGREE and scatter is None
+    disagree = mahalanobis_sq > DISAGREE and in_map is None
     if disagree:
         # One of both is wrong by more than it states (Birge 1932): the poles count for as much
         # less.
@@ -434,11 +437,11 @@ def refine_pair(
         best = _converged_anew(problem, best, covariance / share) or best
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T[1])
         mahalanobis_sq = max(mahalanobis_sq, moved)
-    if scatter is not None:
+    if in_map is not None:
         # The registration was of the same surfaces: it says where to search, and nothing more.
         problem = replace(problem, factor=problem.factor.weakened(UNSURE))
         best = _converged_anew(problem, best, covariance / UNSURE) or best
-        more = _of_registration(problem, best, poles.T_target_source, scatter)
+        more = _of_registration(problem, best, poles.T_target_source, in_map.scatter)
         if more is not None:
             problem = replace(problem, factor=more)
             (best,) = _converged(problem, [best], covariance) or [best]
@@ -450,8 +453,8 @@ def refine_pair(
         less = excess(uncertainty_of_pair(parts_of(without, rest)).covariance, own)
         by_places += less + np.outer(place.apart, place.apart)
     others = [("one place that decides", by_places)] if decisive else []
-    if scatter is not None:
-        others.append((DISTORTION, MAP_DISTORTION))
+    if in_map is not None:
+        others.append((DISTORTION, in_map.distortion))
         # What a LiDAR may err by, its map may bend by: it has neither an axis nor an encoder.
         parts = tuple(
             part_of(DISTORTION, part.root, is_random=part.is_random) if part.lidar == 0 else part
@@ -492,6 +495,14 @@ def refine_pair(
 
 Scatter = Callable[[Array, Array, Array, float], Array | None]
 """`in_map.scatter_without_parts` of two clouds."""
+
+
+@dataclass(frozen=True, eq=False)
+class InMap:
+    """Of a map: the scatter of registrations in it, and (6, 6) the covariance of its distortion."""
+
+    scatter: Scatter
+    distortion: Array
 
 
 def _of_registration(

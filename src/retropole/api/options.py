@@ -105,6 +105,8 @@ def checked_options(config: RunConfig) -> RunConfig:
     pose_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
     if config.prior_xyz is not None and not config.map:
         raise UsageError("prior_xyz (--prior-xyz) is a position in a map: give map (--map) as well")
+    if config.map_sigma_m != DEFAULT_CONFIG.map_sigma_m and not config.map:
+        raise UsageError("map_sigma_m (--map-sigma-m) describes a map: give map (--map) as well")
     if config.map and not config.refine:
         raise UsageError(
             "in a map the pose is determined by surfaces: leave out refine (--no-refine)"

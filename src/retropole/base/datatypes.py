@@ -22,7 +22,7 @@ from .errors import Reason, Refusal
 from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
-from .systematic import Sway
+from .systematic import MAP_SIGMA, Sway
 from .uncertainty import ErrorAtRange, RadiusEstimate, Uncertainty, WeakDirection
 from .uncertainty.confirmation import Confirmation
 from .uncertainty.purpose import Fitness
@@ -70,6 +70,8 @@ class PointCloud:
         And the model whose angles were used for the points, if those of the unit are not known.
     is_map
         Whether the points were seen from many positions: free space is then not known.
+    map_sigma
+        1 σ of positions in such a map relative to each other, metres.
     """
 
     xyz: Array
@@ -88,6 +90,7 @@ class PointCloud:
     model: str = ""
     nominal_angles: str = ""
     is_map: bool = False
+    map_sigma: float = MAP_SIGMA
 
     def __post_init__(self) -> None:
         """Check that all arrays are as long as `xyz`."""

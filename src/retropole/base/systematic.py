@@ -125,10 +125,19 @@ class Sizes:
     width: float = USUAL_WIDTH
 
 
-MAP_DISTORTION = np.diag(np.r_[np.full(3, 0.005 / 30.0), np.full(3, 0.005)] ** 2)
-"""(6, 6) covariance of the distortion of a map about a LiDAR, rad and m: clouds of several LiDARs,
-or of a walk, do not coincide exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0
-to 31: without it 3 were outside of the 95 % region."""
+MAP_SIGMA = 0.005
+"""1 σ of the distortion of a map about a LiDAR, m: clouds of several LiDARs, or of a walk, do not
+coincide exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0 to 31: without it 3
+were outside of the 95 % region."""
+
+MAP_LEVER = 30.0
+"""The surfaces that determine a pose in a map are this far apart, m: a map that is distorted by its
+1 σ over this distance is rotated by the quotient."""
+
+
+def map_distortion(sigma: float = MAP_SIGMA) -> Array:
+    """(6, 6) covariance of a pose in a map whose positions err by a 1 σ, m: rad and m."""
+    return np.diag(np.repeat([sigma / MAP_LEVER, sigma], 3) ** 2)
 
 
 def spinning(sizes: Sizes) -> Sizes:

@@ -31,7 +31,7 @@ from .out import out_folder
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options(*READING)
 @run_options("carried", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
-@run_options("map", "prior_xyz", "prior_sigma_m")
+@run_options("map", "map_sigma_m", "prior_xyz", "prior_sigma_m")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
 @run_options("mast_sway_deg")
 @more_option(

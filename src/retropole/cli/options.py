@@ -180,6 +180,7 @@ NAMES = {
     "need_m": "--need-cm",
     "at_m": "--at-m",
     "refine": "--no-refine",
+    "map_sigma_m": "--map-sigma-m",
     "prior_sigma_m": "--prior-sigma-m",
 }
 """Options that are not called as their fields without the unit."""

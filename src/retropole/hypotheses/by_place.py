@@ -56,7 +56,7 @@ MAX_CONTRADICTED = 0.06
 recordings (benchmarks/deception.py --poles 0, seeds 3000 to 3003) had 9.5 % and 10.8 %, the 21
 right ones of them and 11 of real pairs (benchmarks/no_poles.py) 4.2 % at most."""
 
-MAP_SIGMA = np.repeat([np.radians(0.1), 0.03], 3)
+REGISTRATION_SIGMA = np.repeat([np.radians(0.1), 0.03], 3)
 """1 σ of a pose in a map that is registered to objects that cannot have driven off, rad and m:
 chosen. Of 86 in benchmarks/mapped.py, seeds 0 to 59 and 400 to 449, 83 were off by less, and two
 with the wheels of cars that had moved by more."""
@@ -163,7 +163,7 @@ def align_by_place_if_open(
     T = chosen.hypotheses[0].match.T_target_source
     if has_no_poles(chosen.paired) and chosen.paired[0].placement.target.cloud.is_map:
         T = registered_in_map(chosen.paired[0].placement, T)
-        return chosen, without_poles(T, radius, MAP_SIGMA)
+        return chosen, without_poles(T, radius, REGISTRATION_SIGMA)
     try:
         return chosen, align(chosen.paired, T, **known)
     except Refusal as refusal:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import ReadError, UsageError, naming
+from ..base.systematic import MAP_SIGMA
 
 PARAVIEW = ("points", "points_m_xyz")
 IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]{0,20})[\])]$")
@@ -68,9 +69,13 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 class MapPlace(NamedTuple):
-    """The region of a map that is read, roughly, metres in its coordinates; None if not known."""
+    """The region of a map that is read, and 1 σ of positions in the map, both in metres.
+
+    Roughly, in the coordinates of the map; None if not known.
+    """
 
     at: tuple[float, float, float] | None = None
+    sigma: float = MAP_SIGMA
 
 
 class Wanted(NamedTuple):

@@ -50,6 +50,7 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
         thinned=cloud.thinned,
         notes=cloud.notes,
         is_map=True,
+        map_sigma=place.sigma,
     )
 
 

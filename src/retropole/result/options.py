@@ -15,6 +15,7 @@ from msgspec import Meta, inspect
 from ..base.bounded import ShareOfSome, Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.errors import UsageError
+from ..base.systematic import MAP_SIGMA
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, Need
 from ..io.fields import METRES, USUAL, MapPlace, Unit, Wanted
@@ -157,6 +158,9 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         rare("Rough position of SOURCE in the map: E N H, from GNSS or a viewer."),
     ] = None
     prior_sigma_m: Annotated[Distance, rare("1 sigma of --prior-xyz, m.")] = 2.0
+    map_sigma_m: Annotated[
+        Distance, rare("1 sigma of positions in the map relative to each other, m.")
+    ] = MAP_SIGMA
     hypothesis: Annotated[
         Text | None,
         rare(
@@ -275,7 +279,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     def of_target(self) -> Reading:
         """How recordings of the target are read."""
         sensor, threshold, topic = self.sensor_target, self.threshold_target, self.target_topic
-        place = MapPlace(self.prior_xyz) if self.map else None
+        place = MapPlace(self.prior_xyz, self.map_sigma_m) if self.map else None
         wanted = Wanted(self.intensity, self.angles, place=place)
         return Reading(
             sensor, threshold, topic, slice_of(self.frames), self.max_points, self.unit, wanted
