@@ -61,6 +61,14 @@ def test_clocks_that_jump_are_refused(sound: Adjusted) -> None:
     assert chosen([replace(sound, clock_steps=steps * [1, 0.8, 1])]) is not None
 
 
+def test_a_step_that_may_have_happened_is_stated_with_the_clock(sound: Adjusted) -> None:
+    known = float(np.sqrt(sound.covariance[6, 6]))
+    for times, more in ((2.9, 0.0), (3.1, 3.1 * 0.005 / 2)):
+        steps = np.array([[0.0, 0.0, 0.0], [5.0, -times * 0.005, 0.005]])
+        found = replace(sound, clock_steps=steps).clock_sigmas
+        assert found == pytest.approx([0.0, np.hypot(known, more)])
+
+
 @pytest.mark.full
 def test_a_step_of_the_clock_is_found_when_it_was() -> None:
     walk = seen_walk()

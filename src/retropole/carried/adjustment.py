@@ -84,6 +84,10 @@ JITTERS = np.r_[0.0, np.geomspace(5e-5, 0.02, 60), np.inf]
 FULL_STEPS = 5
 """After this many steps, half of each is gone."""
 
+DOUBTED = 3.0
+"""A step of the clock of so many σ may have happened: of steady clocks, 5 % have a larger one by
+chance (Andrews 1993)."""
+
 DRAWS = 4
 """Draws of the motion: over hundreds of knots, few draws show its spread."""
 
@@ -165,6 +169,13 @@ class Adjusted:
     def offset(self) -> float:
         """By how much the source's clock is ahead, of a pair, s."""
         return float(self.clocks[1, 0])
+
+    @property
+    def clock_sigmas(self) -> Array:
+        """(L,) 1 σ of each clock's offset, s: with half of a step that may have happened."""
+        known = np.sqrt(np.diag(self.covariance)[OFFSET :: OFFSET + 1])
+        _, step, sigma = self.clock_steps[1:].T
+        return np.asarray(np.r_[0.0, np.hypot(known, (np.abs(step) > DOUBTED * sigma) * step / 2)])
 
     @property
     def left_out(self) -> float:

@@ -218,7 +218,7 @@ def _walk(adjusted: Adjusted, solved: Solved, order: Sequence[int]) -> SiteWalk:
     """Say how the pole was carried, and what each LiDAR saw of it, in the order of the site."""
     points, directions = axes_in_target(adjusted)
     offsets = adjusted.clocks[:, 0] + solved.ahead
-    sigmas = np.r_[0.0, np.sqrt(np.diag(adjusted.covariance)[POSE :: POSE + 1])]
+    sigmas = adjusted.clock_sigmas
     seen = [
         LidarWalk(
             clock_offset_s=-float(offsets[k]) + 0.0,

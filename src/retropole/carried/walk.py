@@ -272,7 +272,7 @@ def taken(solved: Solved) -> WalkCalibration:
         best.T_target_source,
         covariance,
         best.offset + float(solved.ahead[1]),
-        float(np.sqrt(best.covariance[6, 6])),
+        float(best.clock_sigmas[1]),
         float(best.clocks[1, 1]),
         float(best.middles[1]),
         (solved.tracks[0], solved.tracks[1]),
