@@ -104,7 +104,7 @@ def test_one_that_stops_is_reported_and_the_others_go_on() -> None:
     ]
     with merging(lidars) as (merge, given):
         words = run(merge, 2.5 * STOPPED)
-    assert words == ["b: left out, since no sweep comes: nobody sends"]
+    assert words == ["b: left out, since no sweep arrives: nobody sends"]
     assert given[-1]["lidar"].tolist() == [0] * 4
     assert given[-1]["time"].max() > time.time() - 1.0
 
@@ -115,7 +115,7 @@ def test_one_that_comes_late_is_taken_in() -> None:
     lidars = [LiveLidar("a", Turning("a"), np.eye(4)), LiveLidar("b", late, np.eye(4))]
     with merging(lidars) as (merge, given):
         words = run(merge, 3.0 * STOPPED)
-    assert words == ["b: left out, since no sweep comes: nobody sends", "b: its sweeps come"]
+    assert words == ["b: left out, since no sweep arrives: nobody sends", "b: its sweeps come"]
     assert given[-1]["lidar"].tolist() == [0] * 4 + [1] * 4
 
 
