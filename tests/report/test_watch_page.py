@@ -381,6 +381,7 @@ def test_sounds_tell_what_changes(page: Browser, watch: Watch) -> None:
     assert page.logs()[0] == []
 
 
+@pytest.mark.full
 @needs_browser
 def test_hostile_text_stays_text(page: Browser, watch: Watch) -> None:
     doc = everywhere(msgspec.structs.replace(CAPTURING, status="ok"), lambda: HOSTILE)

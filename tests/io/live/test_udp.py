@@ -25,6 +25,7 @@ from tests.io.files import required
 from tests.io.packets.sending import angles_of, bag_of, turning
 from tests.io.packets.written import MANUALS, difop
 from tests.paths import SHARED
+from tests.tiers import first_of
 
 FORMATS = SHARED / "formats"
 VLP16 = "velodyne/sample_velodyne_vlp16_gps.pcap"
@@ -393,7 +394,7 @@ def test_missing_extras_say_what_to_install(
         begin(free_port())
 
 
-@pytest.mark.parametrize("name", ["hesai_xt32", "hesai_64"])
+@pytest.mark.parametrize("name", first_of(["hesai_xt32", "hesai_64"]))
 def test_sweeps_of_a_model_of_the_tables_are_those_of_its_recording(
     tmp_path: Path, name: str
 ) -> None:
