@@ -62,7 +62,7 @@ class Row:
     lost_alone: int
     missed: list[float]
     rounds: int
-    settled: bool
+    converged: bool
     doubtful: int
     unit_variance: float
     cpu: float
@@ -152,7 +152,7 @@ def run(nodes: int, seed: int, power: float, shared: float) -> Row:
         sum(int(k) not in found.rivals for k in lost),
         sorted(found.chi2[: len(city.i)][detectable & ~named].tolist()),
         found.rounds,
-        found.settled,
+        found.converged,
         int(found.doubtful.sum()),
         found.unit_variance,
         cpu,
@@ -204,7 +204,7 @@ def main() -> None:
         print(
             f"{seed}: {row.nodes} LiDARs, {row.edges} edges; "
             f"{row.cpu:.1f} s CPU, {row.wall:.1f} s; "
-            f"{row.rounds} rounds{'' if row.settled else ' NOT SETTLED'}; "
+            f"{row.rounds} rounds{'' if row.converged else ' NOT CONVERGED'}; "
             f"coverage {100 * row.poses:.1f} % and {100 * row.relative:.1f} %; "
             f"wrong {row.wrong}, detectable {row.detectable}, left out {row.left_out}, "
             f"named {row.named}; sound ones lost {row.good_lost} ({row.lost_alone} without rival); "

@@ -185,7 +185,7 @@ def test_of_a_site_two_lidars_are_named(site: Path, tmp_path: Path) -> None:
     files = "same/lidar0.pcd", "same/lidar1.pcd"
     done = retropole_here("check", tmp_path, *files, cwd=site)
     assert "name two of its LiDARs" in done.stderr
-    assert "there are mast-a, mast-b, gate" in done.stderr
+    assert "it has mast-a, mast-b, gate" in done.stderr
     assert run(site, str(tmp_path), "same", "--parent", "mast-a")[0] == 2
     # Another place than that of the made-up site.
     words = ("--parent", "mast-a", "--child", "gate", "--json")

@@ -116,7 +116,7 @@ def test_what_a_recording_cannot_be_is_said_in_the_words_of_the_file(
 
 def test_a_folder_without_a_site_file_is_told_how_to_get_one(tmp_path: Path) -> None:
     write_recordings(tmp_path)
-    words = f"holds no site.toml; 'retropole site init {tmp_path}' writes site.toml"
+    words = f"has no site.toml; 'retropole site init {tmp_path}' writes site.toml"
     for given in (tmp_path, tmp_path / "site.toml"):
         done = retropole_here("site", "calibrate", given, "--out", tmp_path / "out")
         assert done.returncode == 2

@@ -158,7 +158,7 @@ def test_the_cards_are_printed_first_a_sheet_each(
     browser.open(tmp_path, made_page(placements))
     pages = _printed(browser, tmp_path)
     for k in range(placements):
-        assert pages[k].split()[:5] == ["Where", "to", "stand", "the", "poles"] or placements > 1
+        assert pages[k].split()[:5] == ["Where", "to", "set", "up", "the"] or placements > 1
         assert f"to {'BDFH'[k]}:" in pages[k]
         assert "Place and date" in pages[k]
     assert len(pages) <= placements + 2

@@ -317,10 +317,10 @@ def check_confirmed_by_surroundings(paired: Sequence[PairedPlacement], found: Co
     left, advice = _undetermined(paired)
     needed = f"{MIN_TOTAL} patches and {100 * MAX_WRONG:.0f} % needed"
     if has_no_poles(paired):
-        needed += f", at most {100 * MAX_CONTRADICTED:.0f} % contradicting it"
+        needed += f", at most {100 * MAX_CONTRADICTED:.0f} % contradicting"
     raise Refusal(
         "too_few_poles",
-        f"{left}, and the surroundings do not determine the rest: {found.counts}; chance of a "
+        f"{left}; the surroundings are not enough: {found.counts}; chance of a "
         f"wrong pose {found.chance} ({needed}); {advice}",
         {
             "poles": max(len(each.target_poles) for each in paired),
@@ -338,7 +338,7 @@ def _undetermined(paired: Sequence[PairedPlacement]) -> tuple[str, str]:
     """Describe the part of the pose left to the surroundings, and give advice if they do not
     determine it."""
     if has_no_poles(paired):
-        return "without poles the whole pose is undetermined", SET_UP_TWO
+        return "without poles the pose is undetermined", SET_UP_TWO
     scans = [scan for each in paired for scan in (each.placement.target, each.placement.source)]
     few = (why_few_poles(scan) for scan in scans if len(scan.poles) < 2)
     return LEAVES, next(filter(None, few), LEAN_ANOTHER)

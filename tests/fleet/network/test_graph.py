@@ -53,7 +53,7 @@ def test_points_hold_what_they_can() -> None:
         assert len(component.held) == left
         if left == 1:
             np.testing.assert_allclose(np.abs(component.held[0]), [1, 0, 0], atol=1e-12)
-            assert "open" in component.datum("abcdef")
+            assert "undetermined" in component.datum("abcdef")
 
 
 def test_what_holds_the_network_together_stays() -> None:
