@@ -186,6 +186,7 @@ def all_names() -> frozenset[str]:
     return frozenset(every.union(*(names_in(tree_of(path)) for path in FILES)))
 
 
+@pytest.mark.full
 def test_names_in_docstrings_exist() -> None:
     for path in FILES:
         for node in ast.walk(tree_of(path)):
@@ -195,6 +196,7 @@ def test_names_in_docstrings_exist() -> None:
                     assert not unknown, f"{path}:{node.lineno} names `{word}`"
 
 
+@pytest.mark.full
 def test_names_of_modules_in_docstrings_and_architecture_exist() -> None:
     """Of `room.module` and `module.name` both parts are where they are said to be."""
     by_stem: dict[str, set[str]] = {}

@@ -29,6 +29,7 @@ def corridor() -> SimulatedPair:
     return simulate_pair("corridor", np.random.default_rng(3))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("rings", first_of([True, False]))
 def test_recordings_are_freed_after_a_calibration(rings: bool) -> None:
     """A process that calibrates for weeks does not grow by each recording."""

@@ -22,6 +22,7 @@ from retropole.base.sensors import (
 )
 from retropole.base.systematic import sizes_of
 from retropole.simulation import simulate_pair
+from tests.tiers import first_of
 
 NAMES = (
     *("VLP-16", "VLP-32C", "HDL-32E", "VLS-128", "Pandar64", "PandarQT", "XT32", "RS-LiDAR-16"),
@@ -85,7 +86,7 @@ def test_auto_threshold_counts_from_the_bottom_of_the_scale(darkest: float, odd:
     assert plain < intensity.max()
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if SENSORS[n].rings])
+@pytest.mark.parametrize("name", first_of([n for n in NAMES if SENSORS[n].rings], 5))
 def test_auto_threshold_parts_tape_from_the_rest(name: str) -> None:
     pair = simulate_pair(
         "street", np.random.default_rng(1), sensor_target=name, sensor_source="Pandar64"

@@ -20,6 +20,7 @@ from retropole.base.errors import UsageError
 from retropole.export import FORMATS, Transform, put_into_urdf, read_transform
 from retropole.export.transform import LONGEST_NAME
 from tests.export.test_export import ROUNDING
+from tests.tiers import first_of
 
 T = se3.random(np.random.default_rng(12))
 TOUCH = "touch touched"
@@ -271,7 +272,7 @@ OWN_READER: dict[str, Callable[[str, Path], tuple[Array, str | None, str | None]
 }
 
 
-@pytest.mark.parametrize("fmt", FORMATS)
+@pytest.mark.parametrize("fmt", first_of(FORMATS, 5))
 def test_every_name_reaches_its_format_as_it_is(
     fmt: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -48,6 +48,7 @@ from tests.fleet.history.checks import row as check_row
 from tests.fleet.made_up import FIRST, made_up_row, names_in_first, write_made_up
 from tests.fleet.network.made_up_fleet import write_made_up_fleet
 from tests.test_untrusted_documents import edited
+from tests.tiers import first_of
 
 LONGEST = 20.0
 """Seconds that no document may take."""
@@ -340,7 +341,7 @@ def test_what_is_damaged_is_taken_before(
     assert hold(kind, 0, tmp_path, whole) == "taken"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", first_of(KINDS, 2))
 def test_a_damaged_document_is_an_error_or_what_it_says(
     kind: str, tmp_path: Path, whole: Whole
 ) -> None:

@@ -167,6 +167,7 @@ def write_sick(folder: Path, points: NDArray[Any]) -> Iterator[Path]:
     yield from (folder / f"{name}" for name in ("a.ply", "b.ply", "a.bin", "b.bin"))
 
 
+@pytest.mark.full
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", first_of(SICK_BITS))
 def test_no_number_of_a_file_is_cast_unchecked(tmp_path: Path, kind: str) -> None:
@@ -182,7 +183,7 @@ def test_no_number_of_a_file_is_cast_unchecked(tmp_path: Path, kind: str) -> Non
                 guess_sensors(with_trusted_rings(cloud))
 
 
-@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize("suffix", first_of(WRITERS, 4))
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
