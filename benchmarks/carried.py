@@ -256,8 +256,7 @@ def watched_walk(args: argparse.Namespace, seed: int) -> Outcome:
     step = se3.local(result.T_target_source, walk.T_target_source)
     off = float(displacement(step, AT))
     words = f"{seed} stopped after {said.seconds:.0f} s: off by {1e3 * off:.1f} mm"
-    missed = Missed(off, args.watch, float(off > args.watch))
-    return Outcome(words, ((missed,),), seconds=said.seconds)
+    return Outcome(words, ((Missed(off, args.watch, np.nan),),), seconds=said.seconds)
 
 
 def walk_of_site(args: argparse.Namespace, seed: int) -> Outcome:
@@ -442,7 +441,7 @@ def summed_up(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> Iterator
     answered = [each for each in outcomes if each.found]
     if args.watch is not None:
         stopped = [each.seconds for each in answered]
-        met = sum(each.found[0][0].squares == 0 for each in answered)
+        met = sum(each.found[0][0].error <= args.watch for each in answered)
         yield (
             f"stopped {len(stopped)} of {args.seeds}, after {np.median(stopped or [np.nan]):.0f} s "
             f"in the median; within {1e3 * args.watch:g} mm: {met}"

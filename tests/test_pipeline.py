@@ -30,7 +30,7 @@ def corridor() -> SimulatedPair:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("rings", first_of([True, False]))
+@pytest.mark.parametrize("rings", [True, False])
 def test_recordings_are_freed_after_a_calibration(rings: bool) -> None:
     """A process that calibrates for weeks does not grow by each recording."""
     pair = simulate_pair("bare", np.random.default_rng(3))
