@@ -90,6 +90,17 @@ def test_the_default_tier_fails_beyond_its_budget_and_lists_what_cost_most(
     done.stdout.no_fnmatch_line("*may take*")
 
 
+def test_a_slow_machine_may_take_longer(
+    suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tiers, "BUDGET_S", 1e-6)
+    monkeypatch.setattr(tiers, "REFERENCE_S", 1e6)
+    assert tiers.slowness() == 1.0, "a fast one no shorter"
+    assert suite.runpytest_inprocess().ret == pytest.ExitCode.TESTS_FAILED
+    monkeypatch.setattr(tiers, "REFERENCE_S", 1e-12)
+    assert suite.runpytest_inprocess().ret == 0
+
+
 @pytest.mark.full
 def test_processes_of_workers_count(
     suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch

@@ -93,7 +93,7 @@ def test_lidars_on_one_mast_rest_as_one(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "frequency"), first_of([(seed, hz) for hz in (1.0, 0.3) for seed in range(4)])
+    ("seed", "frequency"), first_of([(seed, hz) for hz in (1.0, 0.3) for seed in range(2)])
 )
 def test_lidars_on_masts_of_their_own_are_left_alone(seed: int, frequency: float) -> None:
     alone, T = on_masts(seed, one=False, frequency=frequency)

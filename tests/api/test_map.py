@@ -34,7 +34,7 @@ def place(origin: np.ndarray) -> tuple[PointCloud, PointCloud, np.ndarray]:
         se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, turn])), np.array([x, y, 2.5]))
         for turn, x, y in ((0.3, -6.0, 1.0), (2.0, 5.0, -2.0), (4.0, 0.0, 4.0), (1.0, 1.0, -1.0))
     ]
-    sensor = find_sensor("OS1")
+    sensor = find_sensor("XT32")
     clouds = [scan(surfaces, sensor, pose, rng).cloud for pose in poses]
     seen = [se3.apply(pose, each.xyz) for pose, each in zip(poses[:3], clouds, strict=False)]
     return (
@@ -56,7 +56,7 @@ def test_a_lidar_is_found_in_a_map_in_its_coordinates(tmp_path: Path) -> None:
     for origin in (ORIGIN, np.zeros(3)):
         given, lidar, T = place(origin)
         rough = T[:3, 3] + np.array([1.5, -2.0, 0.5])
-        result = rp.calibrate(given, lidar, sensor=("auto", "OS1"), options=options(rough))
+        result = rp.calibrate(given, lidar, sensor=("auto", "XT32"), options=options(rough))
         assert result.status != "refused"
         assert result.T_target_source is not None
         assert_near(result.T_target_source, T, degrees=0.05, metres=0.02)
@@ -82,9 +82,9 @@ def test_a_map_of_another_place_is_refused() -> None:
     given, _, T = place(ORIGIN)
     rng = np.random.default_rng(8)
     other = scan(
-        SURROUNDINGS["harbor"](rng).surfaces, find_sensor("OS1"), place(np.zeros(3))[2], rng
+        SURROUNDINGS["harbor"](rng).surfaces, find_sensor("XT32"), place(np.zeros(3))[2], rng
     ).cloud
-    result = rp.calibrate(given, other, sensor=("auto", "OS1"), options=options(T[:3, 3]))
+    result = rp.calibrate(given, other, sensor=("auto", "XT32"), options=options(T[:3, 3]))
     assert result.status == "refused"
 
 

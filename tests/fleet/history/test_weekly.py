@@ -7,13 +7,12 @@ import pytest
 
 from benchmarks.fleet_weekly import Case, Outcome, Week, row_of, said, watched
 
-pytestmark = pytest.mark.full
-
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
 WEEKS = 4
 
 
+@pytest.mark.nightly  # `test_starts` runs one week in the full tier
 def test_a_site_that_does_not_move_ends_with_0_and_one_that_drifts_with_4(tmp_path: Path) -> None:
     """A drift is told from the second check on, which confirms the first; by 70 mm."""
     still = watched(Case("still", "street"), 2, tmp_path / "still", WEEKS)
@@ -33,6 +32,7 @@ def test_a_site_that_does_not_move_ends_with_0_and_one_that_drifts_with_4(tmp_pa
     assert 0.02 < np.linalg.norm(np.array(size)[3:]) < 0.085
 
 
+@pytest.mark.full
 def test_a_row_says_when_the_alarm_was_and_how_far_the_site_had_moved() -> None:
     quiet, alarm = Week(0, {}), Week(4, {"changed": [{"kind": "step"}]})
     late = Outcome(Case("step", "street", step=0.03), 1, 0.002, (quiet,) * 4 + (alarm,) * 2)
