@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import degrees
 
 from ..base.errors import Refusal
 from ..base.quantities import counted
@@ -49,8 +50,13 @@ def of_map(refusal: Refusal) -> Refusal:
     if refusal.code == "degenerate_poles":
         sizes = ""
         if "rotation_sigma_rad" in values:
-            sizes = refusal.message.partition("determine the pose only to ")[2].partition(";")[0]
-            sizes = f": they determine the pose to {sizes}"
+            rotation, translation = (
+                float(values[name]) for name in ("rotation_sigma_rad", "translation_sigma_m")
+            )
+            sizes = (
+                f": they determine the pose to {degrees(rotation):.2f}° and {translation:.2f} m "
+                "(1 σ)"
+            )
         return Refusal(
             "map_leaves_open",
             f"the surfaces of the map that the LiDAR sees do not determine its whole pose{sizes}; "
