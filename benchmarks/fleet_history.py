@@ -5,7 +5,7 @@ here: of each law as many sites without a change, with a step (0.3° or 3 cm), a
 1 cm a year.
 
 What sets and what states. The constants of the detector were set on the laws of `TUNE` with seeds
-below 1000 (`--tune --first 0`). What docs/evidence/afterwards.md states is of the laws of `STATE`
+below 1000 (`--tune --first 0`). What docs/evidence/checks.md states is of the laws of `STATE`
 with seeds from 3300 on. Of these `UNSEEN` are of a kind that no law of `TUNE` has: tails of each
 axis for itself, another shape of the year, scatter that differs from week to week and is not
 stated, a stated covariance that is too large. The others of `STATE` are of a kind that `TUNE` has
