@@ -183,11 +183,10 @@ def model_rows() -> str:
                 str(model.port),
                 ", ".join(map(str, model.sizes)),
                 f"{model.range_m[0]:g} to {model.range_m[1]:g} m",
-                model.tried or "no real packets",
-                model.source,
+                model.tried or "–",
             )
 
-    names = "model", "channels", "UDP port", "bytes of a packet", "range kept", "tried on", "source"
+    names = "model", "channels", "UDP port", "bytes of a packet", "range kept", "real packets tried"
     return table(names, rows())
 
 
