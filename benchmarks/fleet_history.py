@@ -317,8 +317,8 @@ def run(seed: int, *, laws: dict[str, Law], changes: Sequence[str]) -> list[Outc
 
 def table(outcomes: Sequence[Outcome], laws: dict[str, Law]) -> None:
     print(
-        "| scatter | false alarms in site-years | steps found by the second check | told as a step "
-        "| drifts found within a year | median, 95 % days | told as a trend |"
+        "| scatter | false alarms in site-years | steps found by the second check | named a step "
+        "| drifts found within a year | median, 95 % days | named a trend |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name in laws:
