@@ -53,7 +53,8 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take every n-th pair only")
     arguments = parser.parse_args()
     print(
-        "| pair | target, m | source, m | difference of tilt | 1 σ | of height | 1 σ | reference |"
+        "| pair | target, m | source, m | tilt difference | 1 σ | height difference | 1 σ "
+        "| reference |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for pair in [each for each in PAIRS if not each.is_composed][:: arguments.every]:
