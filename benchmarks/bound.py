@@ -70,7 +70,7 @@ FARTHEST, SHRINKS = 3.0, 60
 COLUMNS = (
     "paper's estimator",
     "as `calibrate` runs",
-    "told there are no errors",
+    "without such priors",
     "Cramér–Rao",
     "best possible",
 )

@@ -2,7 +2,7 @@
 
 Simulated places with four poles, recorded by two LiDARs that have the errors of their family, and
 again by the same two after one error was put into the source. Seeds below 1000 may set constants,
-seeds from 2000 up state the figures in docs/evidence/afterwards.md. Prints Markdown tables.
+seeds from 2000 up state the figures in docs/evidence/checks.md. Prints Markdown tables.
 
     python benchmarks/certify.py --runs 40 --first 2000 --only "typical, 3" field
     python benchmarks/certify.py --runs 10 --first 2000 --only 0.1 "1 %" "3 cm" "10 cm" 0.5 × bumped

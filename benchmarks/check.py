@@ -2,7 +2,7 @@
 
 Each simulated site is calibrated once, then recorded again by the same devices: as it was, rotated
 by 0.3° about a random axis, translated by 3 cm in a random direction, rotated by 40°, or with the
-LiDARs swapped; with the poles where they were, elsewhere, and without. With `--data`, the same of
+LiDARs swapped; with the poles where they were, relocated, and without. With `--data`, the same of
 PandaSet's standing vehicle, from one recording to another of its own, with poles ray-cast into
 them, and of surroundings alone, and how long a check without poles takes on every pair of
 recordings that there is. Prints Markdown tables. Seeds below 1000 are for tuning, those from 1000
@@ -49,7 +49,7 @@ GROSS = ("rotated 40°", "swapped")
 GROSS_EVERY = 4
 """Gross movements, which are never near the line, are tried on every so many sites."""
 
-POLES = ("there", "elsewhere", "gone")
+POLES = ("there", "relocated", "gone")
 FRAMES = ("00", "01", "05")
 """PandaSet's recordings of a standing vehicle."""
 
@@ -172,7 +172,7 @@ def simulated(job: Simulated) -> Iterator[Row]:
     for kind in (*SMALL, *(GROSS if job.seed % GROSS_EVERY == 0 else ())):
         for poles in POLES:
             at = pair
-            if poles == "elsewhere":
+            if poles == "relocated":
                 try:
                     at = place_again(pair, rng)
                 except SimulationError:

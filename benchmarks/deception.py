@@ -78,7 +78,7 @@ def table(outcomes: Sequence[Outcome], names: Sequence[str]) -> str:
     lines += [row(name, [o for o in outcomes if o.kind == name]) for name in names]
     bare = [o for o in outcomes if o.scene == "bare"]
     rest = [o for o in outcomes if o.scene != "bare"]
-    totals = {"all": outcomes, "all on bare ground": bare, "all elsewhere": rest}
+    totals = {"all": outcomes, "all on bare ground": bare, "all off bare ground": rest}
     # Seeds of different rows are different draws: they are named in the rows only.
     lines += [row(name, own).rsplit("|", 2)[0] + "| |" for name, own in totals.items()]
     return "\n".join(lines)
@@ -150,7 +150,7 @@ def scene_table(outcomes: Sequence[Outcome], names: Sequence[str]) -> str:
     ]
     groups = {name: [o for o in outcomes if o.kind == name] for name in names}
     groups["all on bare ground"] = [o for o in outcomes if o.scene == "bare"]
-    groups["all elsewhere"] = [o for o in outcomes if o.scene != "bare"]
+    groups["all off bare ground"] = [o for o in outcomes if o.scene != "bare"]
     for name, group in groups.items():
         for is_wrong in (False, True):
             own = [

@@ -127,7 +127,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(
         "| family | answered | said yes: so | said no: so all the same | not shown: so | ok, and "
-        "not so | 95 % bound holds | at 30 m, median m | above 0.3 m |\n" + "| --- " * 9 + "|"
+        "not so | 95 % bound is true | at 30 m, median m | above 0.3 m |\n" + "| --- " * 9 + "|"
     )
     first = arguments.first
     together: list[Outcome] = []

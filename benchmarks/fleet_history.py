@@ -5,7 +5,7 @@ here: of each law as many sites without a change, with a step (0.3° or 3 cm), a
 1 cm a year.
 
 What sets and what states. The constants of the detector were set on the laws of `TUNE` with seeds
-below 1000 (`--tune --first 0`). What docs/evidence/afterwards.md states is of the laws of `STATE`
+below 1000 (`--tune --first 0`). What docs/evidence/checks.md states is of the laws of `STATE`
 with seeds from 3300 on. Of these `UNSEEN` are of a kind that no law of `TUNE` has: tails of each
 axis for itself, another shape of the year, scatter that differs from week to week and is not
 stated, a stated covariance that is too large. The others of `STATE` are of a kind that `TUNE` has
@@ -317,8 +317,8 @@ def run(seed: int, *, laws: dict[str, Law], changes: Sequence[str]) -> list[Outc
 
 def table(outcomes: Sequence[Outcome], laws: dict[str, Law]) -> None:
     print(
-        "| scatter | false alarms in site-years | steps found by the second check | told as a step "
-        "| drifts found within a year | median, 95 % days | told as a trend |"
+        "| scatter | false alarms in site-years | steps found by the second check | named a step "
+        "| drifts found within a year | median, 95 % days | named a trend |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name in laws:

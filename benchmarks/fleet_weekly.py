@@ -88,7 +88,7 @@ CASES = (
     Case("step of 3 cm in week 4", "corridor", step=0.03),
     Case("step of 3 cm, by the scene", "street", step=0.03, poles=False),
     Case("step of 1 cm in week 4", "harbor", step=0.01),
-    Case("lorry beside the poles in week 5", "harbor", lorry="poles"),
+    Case("lorry next to the poles in week 5", "harbor", lorry="poles"),
     Case("lorry in view in week 5", "street", lorry="view"),
 )
 

@@ -52,7 +52,10 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="folder with the recordings")
     parser.add_argument("--every", type=int, default=1, help="take every n-th pair only")
     arguments = parser.parse_args()
-    print("| pair | target, m | source, m | tilt apart | 1 σ | height apart | 1 σ | reference |")
+    print(
+        "| pair | target, m | source, m | tilt difference | 1 σ | height difference | 1 σ "
+        "| reference |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for pair in [each for each in PAIRS if not each.is_composed][:: arguments.every]:
         given = load(pair.name, arguments.data)

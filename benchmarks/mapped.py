@@ -71,7 +71,7 @@ ENOUGH = 0.3
 ON_THE_MAP = 0.5
 """A point as near to one of the map lies on it, metres."""
 
-KINDS = "same", "cars moved", "large thing moved", "elsewhere"
+KINDS = "same", "cars moved", "large thing moved", "another place"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def draw(seed: int) -> Draw:
     clear = place.clear
     u = rng.uniform()
     kind = (
-        "elsewhere"
+        "another place"
         if u < ELSEWHERE
         else "large thing moved"
         if u < ELSEWHERE + FACADE
@@ -127,7 +127,7 @@ def draw(seed: int) -> Draw:
         pieces.append(se3.apply(se3.retract(pose, off), cloud.xyz))
     xyz = voxel_downsample(np.concatenate(pieces), float(rng.choice(THINNING)))
     xyz = xyz + rng.normal(0, rng.uniform(*NOISE), xyz.shape)
-    if kind == "elsewhere":
+    if kind == "another place":
         now = [*SURROUNDINGS[scene](rng).surfaces, *cars(clear, rng)]
     elif kind == "large thing moved":
         large = [k for k, each in enumerate(place.surfaces) if k and each.bounding_radius > 2.5]
@@ -174,7 +174,7 @@ class Outcome:
     def is_wrong(self) -> bool:
         """Whether a pose is given that is not right; of another place, whether any is."""
         far = self.rotation > WRONG_ANGLE or self.translation > WRONG_DISTANCE
-        return self.status != "refused" and (far or self.kind == "elsewhere")
+        return self.status != "refused" and (far or self.kind == "another place")
 
 
 def share_of(given: PointCloud, lidar: PointCloud, T: Array) -> float:
@@ -286,7 +286,7 @@ def main() -> None:
     )
     for kind in KINDS:
         print(row(kind, [o for o in outcomes if o.kind == kind]))
-    right = [o for o in outcomes if o.kind != "elsewhere"]
+    right = [o for o in outcomes if o.kind != "another place"]
     print(row(f"shares {ENOUGH:.0%}", [o for o in right if o.shared >= ENOUGH]))
     print(row("all", outcomes))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -346,9 +346,9 @@ def run_site(job: tuple[str, int, int, int]) -> Found | None:
 
 
 FACING = {
-    "side by side, 1 m apart": ((0.0, 0.0, 1.5, 0.0, 0.0), (0.0, 1.0, 1.5, 0.0, 0.0)),
-    "at right angles, 4 m apart": ((0.0, 0.0, 2.0, 0.0, 0.0), (0.0, 4.0, 2.0, 0.0, 90.0)),
-    "facing each other, 8 m apart": ((0.0, 0.0, 3.0, 15.0, 0.0), (8.0, 0.0, 3.0, 15.0, 180.0)),
+    "side by side, 1 m": ((0.0, 0.0, 1.5, 0.0, 0.0), (0.0, 1.0, 1.5, 0.0, 0.0)),
+    "at right angles, 4 m": ((0.0, 0.0, 2.0, 0.0, 0.0), (0.0, 4.0, 2.0, 0.0, 90.0)),
+    "facing each other, 8 m": ((0.0, 0.0, 3.0, 15.0, 0.0), (8.0, 0.0, 3.0, 15.0, 180.0)),
 }
 """x, y, z, pitch and yaw, metres and degrees, of two LiDARs over bare ground."""
 

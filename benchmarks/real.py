@@ -206,10 +206,10 @@ def compare_frames(answers: Answers) -> None:
     """Print how far frames of the standing vehicle are apart, in units of what is stated."""
     frames = [each for each in answers.items() if each[0][0].startswith("pandaset")]
     print(
-        "\n| poles stand | pairs of answers | apart by the random parts: median | largest | "
+        "\n| poles are | pairs of answers | distance by the random parts: median | largest | "
         "by both: median |\n" + "| --- " * 5 + "|"
     )
-    for where, elsewhere in (("in the same places", False), ("elsewhere", True)):
+    for where, elsewhere in (("in the same places", False), ("relocated", True)):
         random, whole = [], []
         for ((name, seed), a), ((other, other_seed), b) in combinations(frames, 2):
             of_one_device = (seed - other_seed) % DEVICES == 0

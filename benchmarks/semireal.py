@@ -43,7 +43,7 @@ WEAK = np.radians(0.5), 0.06
 FAIR = np.radians(0.15), 0.03
 """The same of pjlab_0003's."""
 
-DIRECT, COMPOSED = "all with a reference of their own", "all with a composed reference (1.2°)"
+DIRECT, COMPOSED = "all with a separate reference", "all with a composed reference (1.2°)"
 """The references between two PandarQT are composed of two others. They contradict the scene by up
 to 1.2°, which the refined answer follows: it is not wrong there where it is beyond the limits."""
 

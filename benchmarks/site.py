@@ -364,7 +364,7 @@ def run(what: str, seed: int) -> Row | None:
 
 
 HEADER = (
-    "| kind | answered | beyond 1° or 0.15 m | refused | 95 % region holds: poses | relative | "
+    "| kind | answered | beyond 1° or 0.15 m | refused | in the 95 % region: poses | relative | "
     "median χ² of a pose (5.3 is ideal) | median error at 30 m, mm | chained: poses reached | "
     "median of these, mm | of all, mm |"
 )

@@ -126,19 +126,20 @@ def first_line(path: Path) -> str:
 
 
 def module_rows() -> str:
-    """Every module that the reference has, and what it is for."""
+    """Every page of the reference, and what it has: the module of its name, or its first."""
     package = Path(retropole.__file__).parent
     pages = re.findall(r"^(\w+)$", (DOCS / "api" / "index.md").read_text(encoding="utf-8"), re.M)
 
     def rows() -> Iterator[tuple[str, ...]]:
         for page in pages:
             text = (DOCS / "api" / f"{page}.rst").read_text(encoding="utf-8")
-            for name in re.findall(r"^\.\. automodule:: (retropole\.\S+)", text, flags=re.M):
-                path = package.joinpath(*name.split(".")[1:])
-                path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-                yield f"`{name}`", first_line(path)
+            found = re.findall(r"^\.\. automodule:: retropole\.(\S+)", text, flags=re.M)
+            name = page if page in found else found[0]
+            path = package.joinpath(*name.split("."))
+            path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+            yield f"[{page}]({page}.rst)", first_line(path)
 
-    return table(("module", "is for"), rows())
+    return table(("page", "has"), rows())
 
 
 def sensor_rows() -> str:
@@ -182,11 +183,10 @@ def model_rows() -> str:
                 str(model.port),
                 ", ".join(map(str, model.sizes)),
                 f"{model.range_m[0]:g} to {model.range_m[1]:g} m",
-                model.tried or "no real packets",
-                model.source,
+                model.tried or "–",
             )
 
-    names = "model", "channels", "UDP port", "bytes of a packet", "range kept", "tried on", "source"
+    names = "model", "channels", "UDP port", "bytes of a packet", "range kept", "real packets tried"
     return table(names, rows())
 
 

@@ -54,7 +54,7 @@ def calibrate(
 ) -> int:
     """Find the transform that maps points of SOURCE into the frame of TARGET.
 
-    TARGET and SOURCE are point clouds with an intensity, folders of them, one for each sweep, ROS
+    TARGET and SOURCE are point clouds with an intensity, folders with one for each sweep, ROS
     bags, or packets (.pcap). Both may be the same bag.
 
     \b

@@ -63,7 +63,7 @@ def certify(
       0    pass
       1    partial: what was tested passes, some LiDARs of a site could not be tested
       2    a file or an option is wrong
-      3    refused: too little to tell; the reason is printed
+      3    refused: too few data; the reason is printed
       4    fail
     """
     from ..api import certification

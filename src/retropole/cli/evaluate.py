@@ -106,9 +106,9 @@ def evaluate(
     \b
       METHODS
 
-    Those that are not retropole's own use the surroundings and no poles. Their ok is not checked:
+    The methods of others use the surroundings and no poles. Their ok is not checked:
     only the errors against a truth show whether they are right. --radius and the options of
-    sensors are for retropole's own.
+    sensors are for retropole.
 
     \b
     Examples:

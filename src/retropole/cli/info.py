@@ -21,7 +21,7 @@ from .options import CLOUD, FILE, Brief, run_option, run_options
 def info(file: Path, page: Path | None, as_json: bool, **options: Any) -> int:
     """Describe FILE: topics, frames, fields, intensities, and which sensor it may be of.
 
-    FILE is whatever calibrate reads: a point cloud, a folder of them, a bag, or packets.
+    FILE is whatever calibrate reads: a point cloud, a folder of clouds, a bag, or packets.
 
     \b
     Examples:

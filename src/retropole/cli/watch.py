@@ -133,12 +133,13 @@ def watch(
 ) -> int:
     """Calibrate on site, at the poles: see the next thing to do, until the answer is good enough.
 
-    TARGET and SOURCE are LiDARs that record now. The command says which poles each one sees, and
-    what to do next; while all is good and still it keeps sweeps, calibrates, and ends when the need
-    is met (--need-cm and --at-m). Else it says what to do for another placement. The folder gets
-    the recordings (MCAP), the result, its report, and a certificate where the poles allow one.
+    TARGET and SOURCE are LiDARs that record now. The command shows which poles each one sees, and
+    what to do next. When the poles are good and at rest it keeps sweeps, calibrates, and ends if
+    the need is fulfilled (--need-cm and --at-m). Else it shows what to do for another placement.
+    The folder gets the recordings (MCAP), the result, its report, and a certificate if the poles
+    allow one.
 
-    With --carried, one person walks with one pole: the command shows the way and says how to go on,
+    With --carried, one person walks with one pole: the command shows the path and how to continue,
     and ends by itself.
 
     \b
