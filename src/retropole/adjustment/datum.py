@@ -206,7 +206,7 @@ class Datum:
         What is known of them.
     free
         (6 L,) which parameters of the poses are estimated.
-    words
+    text
         What fixes the frame.
     unmet
         What was surveyed and matches nothing that the LiDARs see.
@@ -219,7 +219,7 @@ class Datum:
     poles: list[SharedPole]
     surveyed: Surveyed
     free: BoolArray
-    words: str
+    text: str
     unmet: tuple[Reason, ...] = ()
     dependent: tuple[Dependent, ...] = ()
 
@@ -272,9 +272,9 @@ def find_datum(
         )
         surveyed = replace(surveyed, poses=prior_poses(off, moved))
         what = " and ".join(_counts(surveyed))
-        words = f"{site.frame.name}, by {what}"
+        text = f"{site.frame.name}, by {what}"
         unmet = tuple(list_unmet(site, origins, poses, poles, fit))
-        return Datum(moved, marked, surveyed, free.reshape(-1), words, unmet, off)
+        return Datum(moved, marked, surveyed, free.reshape(-1), text, unmet, off)
     reference = site.reference if site.reference in poses else next(iter(poses))
     name = site.lidars[reference].name
     kept = [pole for pole in poles if len(pole.seen) > 1]
@@ -283,13 +283,13 @@ def find_datum(
         T = se3.from_rt(level, np.zeros(3)) @ se3.inverse(_unturned(poses[reference]))
         # Turning about the vertical and shifts are nobody's to say: they are the reference's.
         free[reference] = [True, True, False, False, False, False]
-        words = f"origin and heading of {name}, vertical by {counted(len(up), 'inertial sensor')}"
+        text = f"origin and heading of {name}, vertical by {counted(len(up), 'inertial sensor')}"
     else:
         T = se3.inverse(poses[reference])
         # Where its beams start in its own frame is where they start in the site's.
         T = se3.from_rt(np.eye(3), origins[reference]) @ T
         free[reference] = False
-        words = of_lidar(name)
+        text = of_lidar(name)
     moved = {i: T @ pose for i, pose in poses.items()}
     off = tuple(orient_links(dependent, reference, frozenset(moved)))
     return Datum(
@@ -297,7 +297,7 @@ def find_datum(
         [transformed(pole, T) for pole in kept],
         Surveyed(up=up, poses=prior_poses(off, moved)),
         free.reshape(-1),
-        words,
+        text,
         dependent=off,
     )
 

@@ -232,7 +232,7 @@ def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> Non
     if not len(free):
         return
     worst = int(free[np.argmax(moved[free])])
-    words = f"{np.degrees(turned[worst]):.1f}° and {moved[worst]:.2f} m (1 σ)"
+    freedom = f"{np.degrees(turned[worst]):.1f}° and {moved[worst]:.2f} m (1 σ)"
     values = {
         "rotation_sigma_rad": float(turned[worst]),
         "translation_sigma_m": float(moved[worst]),
@@ -240,14 +240,14 @@ def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> Non
     if is_surveyed and len(free) == len(site.lidars):
         raise Refusal(
             "survey_too_weak",
-            f"the survey leaves the site free by {words}: survey both ends of a second pole, or "
+            f"the survey leaves the site free by {freedom}: survey both ends of a second pole, or "
             "more control points",
             values,
         )
     name = site.lidars[worst].name
     raise Refusal(
         "degenerate_poles",
-        f"the poles leave {name} free by {words}; add a pole or a placement that it sees with "
+        f"the poles leave {name} free by {freedom}; add a pole or a placement that it sees with "
         "others",
         {"lidar": name, **values},
     )
@@ -363,8 +363,8 @@ def adjusted_of_two(
         end, parts = refined.end, refined.parts
         bands = [np.unique(each.bands) for each in refined.surfaces]
         joint = replace(joint, network=joint.network.with_bands(bands))
-    words = of_lidar(site.lidars[0].name)
-    datum = Datum({0: np.eye(4), 1: T}, poles, NOTHING_SURVEYED, OF_SOURCE, words)
+    text = of_lidar(site.lidars[0].name)
+    datum = Datum({0: np.eye(4), 1: T}, poles, NOTHING_SURVEYED, OF_SOURCE, text)
     return tested(site, datum, joint, end, parts, few=False)
 
 

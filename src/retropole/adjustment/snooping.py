@@ -432,5 +432,5 @@ def _of_pole(
     if moved is not None and parts:
         some = [views[i] for i in likeliest_part(at, moved, parts)]
         seen_by = ", ".join(names[one.lidar] for one in some if one.lidar is not None)
-        separated, words = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
-        yield _Tested("pole", None, placement, pole, words, separated, among=len(parts))
+        separated, observation = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
+        yield _Tested("pole", None, placement, pole, observation, separated, among=len(parts))

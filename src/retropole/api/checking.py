@@ -308,8 +308,8 @@ def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> 
     topics = known.target_topic, known.source_topic
     if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
-    words = f"RESULT's target is the topic {topics[0]}, and its source {topics[1]}"
-    return swap(words, {"told_by": "topics"})
+    stated = f"RESULT's target is the topic {topics[0]}, and its source {topics[1]}"
+    return swap(stated, {"told_by": "topics"})
 
 
 def topic_for(path: Path, given: str | None, known: str | None) -> str | None:

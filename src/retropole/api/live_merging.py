@@ -115,7 +115,7 @@ class Checked(NamedTuple):
     """Outcome of a check against the result: which LiDARs moved, and why, in words."""
 
     moved: tuple[str, ...]
-    words: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Pace:
     sweeps: Mapping[str, int]
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """In one line."""
         if not self.ages:
             return f"no cloud in {self.seconds:.0f} s"
@@ -204,7 +204,7 @@ class _Reader(Thread):
         return time.time() - self.last_came < STOPPED
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """State why nothing arrives, or what is odd about its clock; empty if nothing is."""
         if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
@@ -262,7 +262,7 @@ class LiveMerge:
         self._start = self._since = time.time()
         self._due = self._start + min(every, FIRST_CHECK)
         self._about: dict[str, str] = {}
-        self._words: list[str] = []
+        self._messages: list[str] = []
         self._ages: list[float] = []
         self._sweeps = {lidar.name: 0 for lidar in lidars}
         for reader in self._readers:
@@ -311,11 +311,11 @@ class LiveMerge:
         """Note who stops, who comes again, and who moved."""
         now = time.time()
         for own in self._readers if now - self._start > 2 * STOPPED else ():
-            name, words = own.lidar.name, own.words
+            name, text = own.lidar.name, own.text
             # Without the numbers in it, which change all the time.
-            about = "".join(c for c in words if not c.isdigit())
+            about = "".join(c for c in text if not c.isdigit())
             if about != self._about.get(name, ""):
-                self._words.append(f"{name}: {words or 'its sweeps come'}")
+                self._messages.append(f"{name}: {text or 'its sweeps come'}")
                 self._about[name] = about
         if self._pool is None or self._check is None:
             return
@@ -327,18 +327,18 @@ class LiveMerge:
                 self._due = now
         elif self._work.ready() or now - self._due > LONGEST_CHECK:
             try:
-                self.moved, words = self._work.get(0.0)
+                self.moved, text = self._work.get(0.0)
             except (RetropoleError, OSError, TimeoutError) as error:
-                words = f"the check failed: {quoting(str(error)) or 'it did not finish'}"
+                text = f"the check failed: {quoting(str(error)) or 'it did not finish'}"
             self._work, self._due = None, now + self._every
-            if words != self._about.get("", ""):
-                self._words.append(words)
-                self._about[""] = words
+            if text != self._about.get("", ""):
+                self._messages.append(text)
+                self._about[""] = text
 
-    def new_words(self) -> list[str]:
+    def new_messages(self) -> list[str]:
         """Give the new messages since the last call; each once for as long as it applies."""
-        words, self._words = self._words, []
-        return words
+        messages, self._messages = self._messages, []
+        return messages
 
     def pace(self) -> Pace:
         """Report the rate of clouds since the last call."""

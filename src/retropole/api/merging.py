@@ -198,8 +198,8 @@ def placed(
 
 def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
     """Write the verdict of the calibration into a file."""
-    words = [f"warning ({each.code}): {each.message}" for each in document.reasons]
-    return [verdict_line(document.status, document.reasons), *words]
+    lines = [f"warning ({each.code}): {each.message}" for each in document.reasons]
+    return [verdict_line(document.status, document.reasons), *lines]
 
 
 def has_map(site: SiteDoc) -> bool:
@@ -468,7 +468,7 @@ class _Stream:
 
 
 def _about(
-    stream: _Stream, at: Placed, names: Sequence[str], words: Sequence[str], colour: str | None
+    stream: _Stream, at: Placed, names: Sequence[str], comments: Sequence[str], colour: str | None
 ) -> About:
     """Describe a file by the first sweep of each LiDAR."""
     clouds = [
@@ -492,7 +492,7 @@ def _about(
     return About(
         names=names,
         frame=at.name if at.epsg is None else f"{at.name} (EPSG:{at.epsg})",
-        comments=words,
+        comments=comments,
         has_intensity=bool(len(bright)),
         has_ring=any(cloud.ring is not None for cloud in clouds),
         has_time=bool(times),

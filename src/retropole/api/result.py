@@ -268,7 +268,7 @@ class CalibrationResult(Result[ResultDoc]):
             ("radius", radius_words(self.document)),
             ("scene", scene_words(self.document)),
         )
-        rows += [(name, words) for name, words in cells if words is not None]
+        rows += [(name, text) for name, text in cells if text is not None]
         return rows + super()._rows()
 
     def report(

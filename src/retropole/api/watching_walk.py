@@ -269,8 +269,8 @@ class WalkWatch(Watch):
         """Read the newest sweep of a LiDAR; write and search it once both LiDARs record."""
         lidar = self._lidars[k]
         frame, said, is_other = receive(lidar, self._clock)
-        for words in said:
-            self._note(f"{self._wish.names[k]}: {words}")
+        for message in said:
+            self._note(f"{self._wish.names[k]}: {message}")
         now = self._clock()
         if is_other:
             self._stop("its sweeps come from another sender")
@@ -287,11 +287,11 @@ class WalkWatch(Watch):
                 fault = str(refusal)
             except OSError as error:
                 why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
-                words = (
+                message = (
                     f"{why}. Free disk space: the walk so far is lost, and starts again afterwards."
                 )
-                self._stop(words)
-                self._no_room = Advice("not_written", words), now + 5.0
+                self._stop(message)
+                self._no_room = Advice("not_written", message), now + 5.0
         looked = Looked(now, frame.cloud)
         lidar.view = replace(lidar.view, looked=looked, silent="", fault=fault)
 
@@ -353,7 +353,7 @@ class WalkWatch(Watch):
             return self._answer()
         advice = self._guide(now)
         if advice.code == "clock_jumps":
-            self._stop(advice.words)
+            self._stop(advice.text)
         return advice
 
     def _solve(self, now: float) -> None:
@@ -413,8 +413,8 @@ class WalkWatch(Watch):
             return advice
         for own, name in zip(self._walked, self._wish.names, strict=True):
             if own.search.sweeps and (own.last is None or now - own.last[0] > UNSEEN):
-                words = f"{name} sees no pole: carry it 3 to 8 m from {name}, in view of both."
-                return Advice("unseen", words)
+                message = f"{name} sees no pole: carry it 3 to 8 m from {name}, in view of both."
+                return Advice("unseen", message)
         solution = self._solution
         if solution is None:
             return NO_WAY
@@ -426,11 +426,11 @@ class WalkWatch(Watch):
             after = advice_after(solution.outcome, AGAIN)
             if after.code == "need_too_small":
                 return after
-            warned = "" if after.code == "need_not_met" else f" {after.words}"
+            warned = "" if after.code == "need_not_met" else f" {after.text}"
         step, at = solution.steps[0], (self._wish.config.need or USABLE).at
         falls = f"{error(solution.sigma)} now, {error(step.sigma)} after 5 s of this"
-        words = f"{step.words} 1 σ at {at:g} m: {falls}.{warned}"
-        return Advice(step.code, words, is_good=True)
+        text = f"{step.text} 1 σ at {at:g} m: {falls}.{warned}"
+        return Advice(step.code, text, is_good=True)
 
     def _document_of(self, advice: Advice, now: float) -> WatchDoc:
         said, found = super()._document_of(advice, now), self._solution

@@ -62,7 +62,9 @@ def check_is_file(path: Path) -> None:
     """
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode):
-        kind = next((words for is_it, words in KINDS.items() if is_it(mode)), "something else")
+        kind = next(
+            (kind_name for is_it, kind_name in KINDS.items() if is_it(mode)), "something else"
+        )
         raise ReadError(f"{path}: is {kind}, expected a file")
 
 

@@ -391,7 +391,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
         return max(ENOUGH / self.frequency - self.seconds, 0.0)
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Its size, how well the position at rest is known, and how long to record."""
         angle = f"± {math.degrees(self.angle_rad):.2g}°"
         if self.frequency is None:

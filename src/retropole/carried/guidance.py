@@ -39,7 +39,7 @@ class Continuation(NamedTuple):
     """A way to go on: what it is called, what is done, and 1 σ at a range after it, metres."""
 
     code: str
-    words: str
+    text: str
     sigma: float
 
 
@@ -47,7 +47,7 @@ class _Candidate(NamedTuple):
     """Where to walk, (2,), which way to lean, (2,), and how far to raise the pole, metres."""
 
     code: str
-    words: str
+    text: str
     way: Array
     lean: Array
     lift: float = 0.0
@@ -69,7 +69,7 @@ def next_steps(
     sensors
         Of the target and the source; None where it is not known.
     name
-        What words call the target, from which left and right are seen.
+        How the text calls the target, from which left and right are seen.
     at
         Range at which the error is predicted, metres.
     surroundings
@@ -84,7 +84,7 @@ def next_steps(
     for each in _candidates(found, poses, name):
         more = _information(found, each, sensors, poses)
         sigma = error_of(np.asarray(np.linalg.inv(known + more)), at)
-        steps.append(Continuation(each.code, each.words, sigma))
+        steps.append(Continuation(each.code, each.text, sigma))
     return now, sorted(steps, key=lambda step: step.sigma)
 
 

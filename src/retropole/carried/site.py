@@ -176,15 +176,15 @@ def _refined(
     k = int(np.argmax(se3.lengths(steps[:, 3:])))
     radians, metres = (float(np.linalg.norm(part)) for part in np.split(steps[k], 2))
     times = np.sqrt(chi2 / len(step))
-    words = (
+    message = (
         f"the scene has {site.lidars[k].name} {error(metres, 'm')} and {error(radians, 'rad')} "
         f"from where the pole has it, {times:.1f} times what its uncertainty allows: did a LiDAR "
         "move while the pole was carried?"
     )
     values = {"mahalanobis_sq": chi2, "moved_m": metres, "turned_rad": radians}
     if times**2 > MAX_MAHALANOBIS_SQ / POSE:
-        raise Refusal("poles_scene_contradict", words, values)
-    return T, parts, [Reason("poles_and_scene_disagree", words, values)]
+        raise Refusal("poles_scene_contradict", message, values)
+    return T, parts, [Reason("poles_and_scene_disagree", message, values)]
 
 
 def _check_conflicts(names: Sequence[str], scans: SiteScans, T: Array, way: Array) -> None:

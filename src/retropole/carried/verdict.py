@@ -207,8 +207,8 @@ def _check_geometry(best: Adjusted, names: Sequence[str]) -> None:
         return
     along, across, lean = extent_of(best)
     lacks = [
-        words
-        for words, is_so in (
+        fault
+        for fault, is_so in (
             (f"the pole hardly moved ({along:.1f} m to either side)", along < LITTLE_WALK),
             (f"it was carried along a line ({across:.1f} m beside it)", across < NARROW_WALK),
             (f"it hardly leaned ({np.degrees(lean):.0f}°)", lean < LITTLE_LEAN),

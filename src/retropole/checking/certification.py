@@ -201,8 +201,8 @@ def certify(
         try:
             both = correspond(placement.target.poles, placement.source.poles)
         except Refusal as refusal:
-            words = f"placement {k + 1} is not compared: " if len(placements) > 1 else ""
-            reasons.append(_reason(refusal, words))
+            prefix = f"placement {k + 1} is not compared: " if len(placements) > 1 else ""
+            reasons.append(_reason(refusal, prefix))
             poles.append(PolesSeen(*counts, 0))
         else:
             found.append((k, both))
@@ -319,8 +319,8 @@ def compare(
     )
 
 
-def _reason(refusal: Refusal, words: str = "") -> Reason:
-    return Reason(refusal.code, words + refusal.message, refusal.values)
+def _reason(refusal: Refusal, prefix: str = "") -> Reason:
+    return Reason(refusal.code, prefix + refusal.message, refusal.values)
 
 
 def _refused(reasons: Sequence[Reason], poles: tuple[PolesSeen, ...]) -> FieldTest:

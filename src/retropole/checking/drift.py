@@ -147,9 +147,9 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
         return NewPose(None, reasons=(misfit,))
     reasons: list[Reason] = []
     if not refined.converged:
-        words = f"the registration of the scene still moved after {refined.iterations} iterations"
+        message = f"the registration of the scene still moved after {refined.iterations} iterations"
         reasons.append(
-            Reason("not_converged", words, {"stage": "scene", "iterations": refined.iterations})
+            Reason("not_converged", message, {"stage": "scene", "iterations": refined.iterations})
         )
     if refined.other_minima:
         furthest = max(refined.other_minima, key=lambda one: float(np.linalg.norm(one[3:])))

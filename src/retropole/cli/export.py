@@ -177,12 +177,12 @@ fill_in(export, "FORMATS_OF_A_SITE", TREE_TITLES, width=12)
 fill_in(export, "FORMATS", TITLES, width=12)
 
 
-def _write(words: str | bytes, out: Path | None) -> None:
+def _write(text: str | bytes, out: Path | None) -> None:
     """Write to a file, or print."""
     if out is None:
-        show(words)
+        show(text)
     else:
-        write_atomically(out, words if isinstance(words, bytes) else words.encode())
+        write_atomically(out, text if isinstance(text, bytes) else text.encode())
 
 
 def _warn(path: Path) -> None:
@@ -191,8 +191,8 @@ def _warn(path: Path) -> None:
         echo_warning(reason.code, reason.message)
 
 
-def _note(words: str) -> None:
-    say(f"retropole: {words}")
+def _note(text: str) -> None:
+    say(f"retropole: {text}")
 
 
 def _report_origin(given: Input) -> None:

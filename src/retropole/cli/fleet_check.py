@@ -203,7 +203,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
     """Write what was found at the sites: a line for each pair with news."""
     lines = []
     for site in found.sites:
-        text = [site.words(event) for event in site.changes]
+        text = [site.describe(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
             text.append(f"off since {since:%Y-%m-%d}, not confirmed yet: another check decides")

@@ -324,9 +324,9 @@ def _view(quiet: bool) -> Iterator[Callable[[WatchDoc], None]]:
         last, noted, has_skipped = [""], list[str](), set[str]()
 
         def line(said: WatchDoc) -> None:
-            for words in said.words:
-                if words not in noted:
-                    say(words)
+            for message in said.words:
+                if message not in noted:
+                    say(message)
             noted[:] = said.words
             # How many changes all the time: the first says it.
             for lidar in said.lidars:

@@ -314,15 +314,15 @@ def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
         for urdf in (data, robot)
     )
     assert after is not None
-    words = f"the joint from {after.parent} to {after.child} is"
+    joint = f"the joint from {after.parent} to {after.child} is"
     if before is None:
-        return robot, f"{words} new"
+        return robot, f"{joint} new"
     try:
         difference = se3.difference(before.pose(), after.pose())
     except ReadError as fault:
-        return robot, f"{words} replaced: before, {fault}"
+        return robot, f"{joint} replaced: before, {fault}"
     change = f"{error(difference.translation)} and {error(difference.rotation, 'rad')}"
-    return robot, f"{words} changed by {change}"
+    return robot, f"{joint} changed by {change}"
 
 
 def detect_format(path: Path, data: bytes) -> str:

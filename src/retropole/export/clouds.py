@@ -275,8 +275,8 @@ def _las(file: BinaryIO, about: About, packed: bool) -> Iterator[Callable[[Point
     if about.wkt:
         record = b"" + about.wkt.encode() + b"\0"
         header.vlrs.append(VLR("LASF_Projection", 2112, "OGC WKT coordinate system", record))
-    words = "\n".join(comments_of(about)).encode()[:65_535]
-    header.vlrs.append(VLR("LASF_Spec", 3, "Text area description", words))
+    comments = "\n".join(comments_of(about)).encode()[:65_535]
+    header.vlrs.append(VLR("LASF_Spec", 3, "Text area description", comments))
     extra: list[tuple[str, type]] = [("ring", np.uint16)] * about.has_ring
     extra += [("raw_intensity", np.float32)] * about.has_intensity
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in extra])

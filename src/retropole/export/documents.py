@@ -166,8 +166,8 @@ def found_in_result(result: ResultDoc) -> Found:
     """
     T = result.T_target_source
     if T is None:
-        words = "the calibration was refused, there is no transform: "
-        raise refusal_of(result.reasons, words)
+        prefix = "the calibration was refused, there is no transform: "
+        raise refusal_of(result.reasons, prefix)
     # Target and source of each placement, in turn.
     target, source = ({each.frame_id for each in result.inputs[k::2]} for k in (0, 1))
     parent = child = None

@@ -114,11 +114,11 @@ def read_ouster(data: bytes) -> list[Found]:
     found = re.findall(r"(?:-e|--extrinsics)\s+[\"']([-+\d.eE ,]+)[\"']", text)
     if len(found) != 1:
         raise ReadError(f'expected one -e "X Y Z QX QY QZ QW" of {OUSTER}, found {len(found)}')
-    words = found[0].replace(",", " ").split()
-    if len(words) != 7:
-        raise ReadError(f"expected 7 numbers X Y Z QX QY QZ QW, got {len(words)}")
+    numbers = found[0].replace(",", " ").split()
+    if len(numbers) != 7:
+        raise ReadError(f"expected 7 numbers X Y Z QX QY QZ QW, got {len(numbers)}")
     try:
-        values = np.array(list(map(float, words)))
+        values = np.array(list(map(float, numbers)))
     except ValueError as error:
         raise ReadError(f"{found[0]!r} is not a row of numbers: {said(error)}") from None
     return [Found(*names_in_words(text), lambda: from_quaternion(values[:3], values[3:]))]

@@ -73,14 +73,14 @@ def read_matrix(data: bytes) -> list[Found]:
     is_printed = len(printed) == 1
     body = _WRAPPING.sub(" ", printed[0] if is_printed else text)
     body = re.sub(r"#.*|//.*|\[[^][]*\]", _without_notes, body)
-    words = re.sub(r"[][,;]", " ", body).split()
-    if len(words) != 16:
+    given = re.sub(r"[][,;]", " ", body).split()
+    if len(given) != 16:
         raise ReadError(
-            f"a 4×4 matrix has 16 numbers, this has {len(words)}; a pose of 6 or 7 numbers is read "
+            f"a 4×4 matrix has 16 numbers, this has {len(given)}; a pose of 6 or 7 numbers is read "
             "if each has a name, one per line, as 'x: 1.5': x y z and qx qy qz qw, or roll_deg "
             "pitch_deg yaw_deg"
         )
-    values = np.array([to_float(word) for word in words]).reshape(4, 4)
+    values = np.array([to_float(word) for word in given]).reshape(4, 4)
     return [Found(parent, child, lambda: values, is_of_lidars=is_printed)]
 
 

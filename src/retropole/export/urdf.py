@@ -119,10 +119,10 @@ def _check_fixed(joint: Element) -> None:
 
 
 def _three(text: str, name: str) -> Array:
-    words = text.split()
-    if len(words) != 3:
+    numbers = text.split()
+    if len(numbers) != 3:
         raise ReadError(f"{name}={text!r} is not three numbers")
-    return np.array([to_float(word) for word in words])
+    return np.array([to_float(word) for word in numbers])
 
 
 def put_into_urdf(data: bytes, transform: Transform) -> bytes:

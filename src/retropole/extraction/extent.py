@@ -72,7 +72,7 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
         odd = oddity_of(cloud)
         if odd is not None and odd.is_map:
             rest = (
-                f"; {odd.words}; give it in the LiDAR's frame, or subtract the LiDAR's position "
+                f"; {odd.text}; give it in the LiDAR's frame, or subtract the LiDAR's position "
                 "from all points"
             )
         else:

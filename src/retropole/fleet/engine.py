@@ -341,6 +341,6 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
     except (RetropoleError, OSError, MemoryError) as error:
         why = f"its workers cannot work: {quoting(said(error))}"
     except Exception as error:
-        words = quoting(f"{type(error).__name__}: {said(error)}")
-        raise UsageError(f"a worker cannot do the work: {words}") from None
+        message = quoting(f"{type(error).__name__}: {said(error)}")
+        raise UsageError(f"a worker cannot do the work: {message}") from None
     return unanswered(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None

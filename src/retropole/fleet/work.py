@@ -168,10 +168,10 @@ def answer(task: Task, report: Callable[[Hashed], None] = lambda hashed: None) -
 def code_of(error: Exception) -> tuple[str, str]:
     """Name what went wrong: its code, and in words."""
     code = next(code for kind, code in CODES if isinstance(error, kind))
-    words = str(error)
+    text = str(error)
     if code in ("system", "out_of_memory", "internal"):
-        words = f"{type(error).__name__}: {words}"
-    return code, quoting(words)
+        text = f"{type(error).__name__}: {text}"
+    return code, quoting(text)
 
 
 def failed(

@@ -437,4 +437,4 @@ def in_words(found: Sequence[Distance], names: Sequence[str]) -> list[str]:
             f"{each.kind} {1000 * each.median_m:.1f} mm apart ({1000 * each.median_signed_m:+.1f} "
             f"signed; {counted(each.surfels, 'surfel')}, {each.area_m2:.1f} m²)"
         )
-    return [f"{names[i]}–{names[j]}: {', '.join(words)}" for (i, j), words in lines.items()]
+    return [f"{names[i]}–{names[j]}: {', '.join(distances)}" for (i, j), distances in lines.items()]

@@ -140,12 +140,12 @@ def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
 
 def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
     """Report that two LiDARs have no two poles in common, and why, if a recording shows it."""
-    words = "in no placement do both LiDARs see the same two poles"
+    message = "in no placement do both LiDARs see the same two poles"
     for which, i in zip(("first", "second"), lidars, strict=True):
         whys = [why_few_poles(scan) for scan in scans.by_lidar[i] if scan and len(scan.poles) < 2]
         if any(whys):
-            words += f"; of the {which} of them, {next(filter(None, whys))}"
-    return Reason("too_few_poles", words, {})
+            message += f"; of the {which} of them, {next(filter(None, whys))}"
+    return Reason("too_few_poles", message, {})
 
 
 def _add(

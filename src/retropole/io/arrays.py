@@ -246,8 +246,8 @@ def as_utf8(data: bytes) -> bytes:
 
 def _has_decimal_commas(line: str, separator: str | None) -> bool:
     """Whether commas can only be decimal marks, by the first line of numbers."""
-    words = line.split()
-    between_blanks = len(words) >= 3 and all(map(DECIMAL_COMMA.fullmatch, words))
+    values = line.split()
+    between_blanks = len(values) >= 3 and all(map(DECIMAL_COMMA.fullmatch, values))
     return separator in (";", "\t") or between_blanks
 
 
@@ -290,25 +290,25 @@ def _head(body: bytes) -> _Head:
             continue
         line = raw.decode("utf-8", errors="replace").strip()
         plain = line.lstrip("#/").strip()
-        words = [word.strip(" \"'") for word in plain.split(_separator(plain))]
+        values = [word.strip(" \"'") for word in plain.split(_separator(plain))]
         is_comment = plain != line
         if not is_comment and promised is None and re.fullmatch("[0-9]{1,15}", plain):
             # CloudCompare and Leica's programs write how many points follow.
             promised, counted_at = int(plain), number
-        elif not is_comment and names and not notes and _is_of_device(words, len(names)):
-            notes = (f"line {number} has {len(words)} values and is left out: {line[:60]!r}",)
+        elif not is_comment and names and not notes and _is_of_device(values, len(names)):
+            notes = (f"line {number} has {len(values)} values and is left out: {line[:60]!r}",)
         # Words that only start like a number are not names: 1,5 is an error and not a title.
         elif not is_comment and any(
-            is_number(word) or re.match(r"[-+.]?[0-9]", word) for word in words
+            is_number(word) or re.match(r"[-+.]?[0-9]", word) for word in values
         ):
             return _Head(names, promised, counted_at, number, position, notes)
         elif not is_comment:
             if not commented:
                 raise LineError(number, f"{line[:60]!r}, expected numbers")
-            names, commented = words, False
-        elif commented and has_coordinates(words):
+            names, commented = values, False
+        elif commented and has_coordinates(values):
             # Of the comments, only one that names the coordinates names the columns.
-            names = words
+            names = values
         position += len(raw)
     raise ReadError(
         f"has no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
@@ -316,10 +316,10 @@ def _head(body: bytes) -> _Head:
     )
 
 
-def _is_of_device(words: list[str], columns: int) -> bool:
+def _is_of_device(cells: list[str], columns: int) -> bool:
     """Whether a line is of the sensor and not of a point: Livox Viewer 2 begins with such a one."""
-    is_serial = re.fullmatch("[0-9A-Z]{10,30}", words[0]) is not None and not is_number(words[0])
-    return is_serial and len(words) != columns
+    is_serial = re.fullmatch("[0-9A-Z]{10,30}", cells[0]) is not None and not is_number(cells[0])
+    return is_serial and len(cells) != columns
 
 
 def _separator(line: str) -> str | None:
@@ -365,8 +365,8 @@ def read_table(body: bytes, columns: int, *, line: int, separator: str | None = 
         if bad is None:
             raise ReadError(f"its lines are not {columns} numbers each") from None
         number, content = bad
-        words = f"{content[:60]!r}, expected {columns} numbers"
-        raise LineError(line + number, words) from None
+        message = f"{content[:60]!r}, expected {columns} numbers"
+        raise LineError(line + number, message) from None
     if table.shape[1] != columns:
         number, _ = _first_bad(body, columns, separator) or (0, "")
         raise LineError(line + number, f"holds {table.shape[1]} values, expected {columns}")
@@ -388,8 +388,8 @@ def _first_bad(body: bytes, columns: int, separator: str | None) -> tuple[int, s
     for k, line in enumerate(io.BytesIO(body)):
         content = line.rstrip(b"\n").decode("ascii", errors="replace").replace("�", "?")
         plain = content.split("#", 1)[0].strip(None if separator is None else " ")
-        words = plain.split(separator)
-        if plain and (len(words) != columns or not all(is_number(w.strip()) for w in words)):
+        values = plain.split(separator)
+        if plain and (len(values) != columns or not all(is_number(w.strip()) for w in values)):
             return k, content
     return None
 

@@ -98,12 +98,12 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
 
 
 def _listed(topics: Sequence[Topic], *, kinds: bool = False) -> str:
-    words = [
+    names = [
         f"{topic.name} ({topic.kind + ', ' if kinds else ''}{counted(topic.count, 'message')})"
         for topic in topics[:MAX_LISTED]
     ]
     more = len(topics) - MAX_LISTED
-    return ", ".join(words) + (f" and {more} more" if more > 0 else "") if words else "none"
+    return ", ".join(names) + (f" and {more} more" if more > 0 else "") if names else "none"
 
 
 def _frames(path: Path, topic: Topic, wanted: Wanted, numbers: range) -> Iterator[Frame]:

@@ -319,7 +319,7 @@ def sentences(
     )
     if need is not None and met is not None:
         yes = "will be met" if met >= 0.95 else "will hardly be met" if met < 0.5 else "may be met"
-        yield f"The need, {need.words}, {yes}: probability {whole_percent(met)}."
+        yield f"The need, {need.text}, {yes}: probability {whole_percent(met)}."
     rehearsal = planned.rehearsal
     if rehearsal.status == "ok":
         yield "Poles put into your recordings were found and calibrated: verdict ok."

@@ -124,7 +124,7 @@ def describe_undecided(result: ResultDoc) -> list[str]:
         lines.append(f"  {name}{mark} {'  '.join(cells[:3])}    {'  '.join(cells[3:])}")
         if each is not result.hypotheses[0]:
             lines.append(f"       versus a: {relative_words(result, each)}")
-    lines += [f"  {plain(words)}" for words in deciding(result, named)]
+    lines += [f"  {plain(line)}" for line in deciding(result, named)]
     return lines
 
 
@@ -171,9 +171,9 @@ TRIED = {
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
     """State what a refusal left out to bound the time; empty if it tried all."""
     text = [
-        words.format(reason.values[tried], reason.values[found])
+        template.format(reason.values[tried], reason.values[found])
         for reason in reasons
-        for (found, tried), words in TRIED.items()
+        for (found, tried), template in TRIED.items()
         if found in reason.values and tried in reason.values
     ]
     return f"To bound the time, {', '.join(text)}" if text else ""

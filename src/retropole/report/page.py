@@ -172,12 +172,12 @@ def table(
 
 def listed(listing: Listing) -> Html:
     """Arrange a table; of a long one the first `SHOWN` rows, the rest folded away."""
-    caption, header, rows, words = listing
+    caption, header, rows, text_columns = listing
     if len(rows) <= SHOWN:
-        return table(caption, header, rows, words) if rows else EMPTY
-    rest = table(f"{caption}: the rest", header, rows[SHOWN:], words)
+        return table(caption, header, rows, text_columns) if rows else EMPTY
+    rest = table(f"{caption}: the rest", header, rows[SHOWN:], text_columns)
     more = folded(f"{len(rows) - SHOWN} more", rest)
-    return fill("stack", body=join((table(caption, header, rows[:SHOWN], words), more)))
+    return fill("stack", body=join((table(caption, header, rows[:SHOWN], text_columns), more)))
 
 
 def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:

@@ -264,7 +264,7 @@ def _weakest(pair: ResultDoc) -> Html:
         return EMPTY
     direction = ", ".join(numbers(weakest.direction, 2))
     ratio = number(weakest.condition, 1)
-    return fill("weakest", words=weakest.words, direction=direction, ratio=ratio)
+    return fill("weakest", text=weakest.words, direction=direction, ratio=ratio)
 
 
 def ranges(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Listing:
@@ -434,20 +434,20 @@ def _poles(pair: ResultDoc) -> str:
     """State the number of poles used, and their radius."""
     placements, radius = len(pair.inputs) // 2, radius_words(pair)
     pairs = 0 if pair.chosen is None else len(pair.chosen.pairs)
-    words = (
+    parts = (
         counted(pairs, "pair of poles", "pairs of poles") if pairs else "",
         counted(placements, "placement") if placements > 1 else "",
         "" if radius is None else f"radius {radius} (1 σ)",
     )
-    return ", ".join(each for each in words if each)
+    return ", ".join(each for each in parts if each)
 
 
 def _budget(budget: list[BudgetEntry]) -> Html:
     """List the largest sources of error, and the sum of all others."""
     entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
-    caption, header, rows, words = sources("Uncertainty budget", entries[:LISTED_SOURCES])
+    caption, header, rows, text_columns = sources("Uncertainty budget", entries[:LISTED_SOURCES])
     rest = entries[LISTED_SOURCES:]
     if rest:
         shared = percent(sum(entry.share_at_30m for entry in rest))
         rows = [*rows, [f"{len(rest)} smaller", *[UNKNOWN] * (len(header) - 2), shared]]
-    return table(caption, header, rows, words) if rows else EMPTY
+    return table(caption, header, rows, text_columns) if rows else EMPTY

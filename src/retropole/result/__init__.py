@@ -386,10 +386,10 @@ def reason_document(reason: Reason | Refusal) -> ReasonDoc:
     return ReasonDoc(reason.code, reason.message, values)
 
 
-def refusal_of(reasons: Sequence[ReasonDoc], words: str = "") -> Refusal:
+def refusal_of(reasons: Sequence[ReasonDoc], prefix: str = "") -> Refusal:
     """Give the refusal of a document: its first reason, after some words."""
     why = next(iter(reasons), ReasonDoc("refused", "the result gives no reason", {}))
-    return Refusal(cast("Code", why.code), words + why.message, why.values)
+    return Refusal(cast("Code", why.code), prefix + why.message, why.values)
 
 
 def with_threshold(source: Input, scan: Scan | None) -> Input:

@@ -137,7 +137,7 @@ def check_sway(lidar: str, scans: Sequence[Scan]) -> Iterator[Reason]:
     worst = max(found, key=lambda each: each.left_rad)
     yield Reason(
         "sways",
-        f"{lidar} swayed while it recorded: {worst.words}",
+        f"{lidar} swayed while it recorded: {worst.text}",
         {
             "lidar": lidar,
             "angle_rad": worst.angle_rad,

@@ -142,7 +142,7 @@ class Confirmation(
         return f"{text}, {self.missing:,} should agree and do not" if self.missing else text
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """The figures for a person: ``412 patches agree, 3 contradict (0.7 % against it); …``."""
         text = self.counts
         if self.conflicting:

@@ -33,7 +33,7 @@ class Need(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m"):
     at: Size
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """For a person, in the units of the options: ``within 2 cm at 30 m``."""
         return f"within {100 * self.within:g} cm at {self.at:g} m"
 
@@ -83,7 +83,7 @@ def _answer(probability: float, doubts: tuple[str, ...]) -> Literal["yes", "no",
 
 
 def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...]) -> str:
-    text = f"{need.words}: {answer}"
+    text = f"{need.text}: {answer}"
     if answer == "not shown":
         text_with_chance = f"{text}, {whole_percent(probability)} sure"
         return text_with_chance + (f" if it were not for {', '.join(doubts)}" if doubts else "")
@@ -211,5 +211,5 @@ def fitness(
     bound = float(np.quantile(sizes, CONFIDENCE / right)) if right > CONFIDENCE else None
     probability = right * met
     answer = _answer(probability, doubts)
-    words = _words(need, answer, probability, doubts)
-    return Fitness(need.within, need.at, answer, probability, bound, words)
+    text = _words(need, answer, probability, doubts)
+    return Fitness(need.within, need.at, answer, probability, bound, text)

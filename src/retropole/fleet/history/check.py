@@ -173,8 +173,8 @@ def check_site(
     except Refusal as refusal:
         tried = replace(tried, codes=(refusal.code,), message=quoting(refusal.message))
     except Exception as error:
-        code, words = code_of(error)
-        tried = replace(tried, status="error", codes=(code,), message=words)
+        code, message = code_of(error)
+        tried = replace(tried, status="error", codes=(code,), message=message)
     return tried
 
 

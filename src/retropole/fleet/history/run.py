@@ -63,7 +63,7 @@ class SiteChange:
         """Whether the newest check found it."""
         return self.is_decided and event.found == len(self.times) - 1
 
-    def words(self, event: Event) -> str:
+    def describe(self, event: Event) -> str:
         """Describe the change, its onset and its size."""
         since = f"{self.times[event.onset]:%Y-%m-%d}"
         new = ", new" if self.is_new(event) else ""

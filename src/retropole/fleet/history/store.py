@@ -134,8 +134,8 @@ def key_of(
 ) -> str:
     """Give the key of a check, of the columns that make it this one; the time is UTC."""
     failure = ("error", *codes) if status == "error" else ()
-    words = "\n".join((name, time.isoformat(), *hashes, *failure))
-    return hashlib.sha256(words.encode()).hexdigest()
+    text = "\n".join((name, time.isoformat(), *hashes, *failure))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def is_usable(has_step: bool, status: str, codes: Collection[str]) -> bool:

@@ -219,8 +219,8 @@ class DdsSource:
         if not own:
             gone = "no longer " if self._count else "not "
             others = sorted({name for name, kind, _ in there if kind == dds_name(CLOUDS)})
-            words = f"{self._topic} is {gone}published in domain {self._domain}"
-            return f"{words}; clouds are on: {', '.join(others) or 'no topic'}"
+            state = f"{self._topic} is {gone}published in domain {self._domain}"
+            return f"{state}; clouds are on: {', '.join(others) or 'no topic'}"
         if dds_name(CLOUDS) not in own:
             return f"{self._topic} is of {own[0]}, expected {dds_name(CLOUDS)}"
         return f"{self._topic} has a publisher, but no message arrives"

@@ -595,6 +595,6 @@ def _opened(port: int, host: str) -> socket.socket:
         own.close()
         if error.errno == errno.EADDRINUSE:
             raise UsageError(f"port {port}: another program listens on it already") from None
-        words = error.strerror or str(error)
-        raise UsageError(f"port {port}: cannot be opened on {host} ({words})") from None
+        reason = error.strerror or str(error)
+        raise UsageError(f"port {port}: cannot be opened on {host} ({reason})") from None
     return own

@@ -340,10 +340,10 @@ def _first(columns: Columns) -> float | None:
 
 def _of_ouster(path: Path, capture: Capture, wanted: Wanted) -> Recording:
     """Open a capture of an Ouster, whose metadata say how its packets are arranged."""
-    words = sizes_in_words(capture)
-    metadata = find_metadata(path, words)
+    sizes = sizes_in_words(capture)
+    metadata = find_metadata(path, sizes)
     note = capture.note(0)
     read = partial(sweeps_of_capture, path, metadata)
     with naming(metadata), reported("file of an Ouster's metadata"):
         name = model_named(metadata)
-    return _decoded(path, read, name, wanted, sizes=words, notes=(note,))
+    return _decoded(path, read, name, wanted, sizes=sizes, notes=(note,))

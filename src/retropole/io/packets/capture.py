@@ -537,5 +537,5 @@ def _ip(packet: bytes, link: int) -> int:
 def sizes_in_words(capture: Capture) -> str:
     """Name the sizes of most packets."""
     sizes = Counter(capture.records[:, 1].tolist()).most_common(3)
-    words = ", ".join(f"{size} ({count} times)" for size, count in sizes)
-    return f"{words or 'no'} bytes with their headers"
+    counts = ", ".join(f"{size} ({count} times)" for size, count in sizes)
+    return f"{counts or 'no'} bytes with their headers"
