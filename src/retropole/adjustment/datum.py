@@ -30,9 +30,9 @@ from .survey import Fit, align_to_survey, list_unmet, pole_at, transformed
 
 SIDE = "side on which poles were surveyed"
 """An error that all ends surveyed on surfaces share, 1 σ radius / √2 in each direction: whoever
-measures them from one place, or always holds the rod to one side, is off by the radius. Each end
-has another, 1 σ radius: √2 more than if each were on a side by chance, as both ends of a pole may
-be on one. So none of these habits makes a stated error too small."""
+measures them from one place, or always puts the rod on the same side, is off by the radius. Each
+end has another, 1 σ radius: √2 more than if each were on a side by chance, as both ends of a pole
+may be on one. So none of these habits makes a stated error too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ class Datum:
     poles
         The shared poles in that frame, those that were surveyed marked.
     surveyed
-        What is known of them.
+        What the survey gives for them.
     free
         (6 L,) which parameters of the poses are estimated.
     text
@@ -238,7 +238,7 @@ def find_datum(
     site
         With what was surveyed.
     origins
-        (L, 3) where the beams of each LiDAR start in its own frame.
+        (L, 3) where the beams of each LiDAR start in its frame.
     poses, poles
         In the frame of the first of the linked LiDARs.
     dependent
@@ -286,7 +286,7 @@ def find_datum(
         text = f"origin and heading of {name}, vertical by {counted(len(up), 'inertial sensor')}"
     else:
         T = se3.inverse(poses[reference])
-        # Where its beams start in its own frame is where they start in the site's.
+        # Where its beams start in its frame is where they start in the site's.
         T = se3.from_rt(np.eye(3), origins[reference]) @ T
         free[reference] = False
         text = of_lidar(name)
@@ -382,7 +382,7 @@ def _counts(surveyed: Surveyed) -> Iterator[str]:
 
 
 def without_poles(datum: Datum, gone: set[int]) -> Datum:
-    """Leave out some poles, with what was surveyed of them."""
+    """Leave out some poles, and their surveyed ends."""
     kept = [k for k in range(len(datum.poles)) if k not in gone]
     ends = tuple(
         replace(end, axis=kept.index(end.axis))

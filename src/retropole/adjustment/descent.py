@@ -48,7 +48,7 @@ FEW = 4
 
 @dataclass(frozen=True, eq=False)
 class ScenePair:
-    """Patches of two LiDARs, made ready to be paired; `few` has a part of them."""
+    """Patches of two LiDARs, made ready to be paired; `few` has some of these patches."""
 
     lidars: tuple[int, int]
     sets: PatchSets
@@ -65,7 +65,7 @@ def scene_pairs(patches: Sequence[Patches | None], lidars: Sequence[int]) -> lis
     Parameters
     ----------
     patches
-        Of each LiDAR, in its own frame; None if it recorded nothing.
+        Of each LiDAR, in its frame; None if it recorded nothing.
     lidars
         Which of them are compared.
     """
@@ -163,7 +163,7 @@ def scene_term(
 
 STEP = 0.04
 """Stop where no step is above this part of the 1 σ that independent residuals would leave. Steps
-fall to a half or a third each, so that as much is left at most, and the last is gone whole: of 13
+fall to a half or a third each, so that no more than that is left, and the last is gone whole: of 13
 scenes poses moved by up to 0.022 σ from where steps of 5e-8 rad and m end."""
 
 MAX_STRIDE = 4.0
@@ -275,7 +275,7 @@ def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = 
     searched = _solve(problem, start, (), problem.known).search
     near = approach(problem.without_rings(), start, searched)
     end = converge(problem, near, searched, few=few)
-    # A scene with little in it needs all of it.
+    # A scene with few patches needs all patches.
     return converge(problem, near, searched) if few and not end.scene else end
 
 
@@ -293,7 +293,7 @@ def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
     near = _descend(problem, [each.few for each in problem.scenes], begin, covariance, FEW_STEP)
     if near.scene or not problem.scenes:
         return near
-    # A scene with little in it needs all of it.
+    # A scene with few patches needs all patches.
     return _descend(problem, [each.sets for each in problem.scenes], begin, covariance, FEW_STEP)
 
 

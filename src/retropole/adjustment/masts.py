@@ -48,7 +48,8 @@ class CommonMotion:
     odds
         Logarithm of how much more probable it is than a motion of each.
     from_rest
-        For each, (6,) turn and shift between where it rests by its own motion and by this one.
+        For each, (6,) turn and shift between where it rests by the motion estimated for it alone
+        and by this one.
     """
 
     odds: float

@@ -50,9 +50,9 @@ POLES_AND_SURVEY = f"{POLES} and of the survey"
 """What the budget calls their scatter."""
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
-"""At most this much further do a LiDAR's returns lie from the common axes than from its own, beyond
-a least bound in metres: of few returns separate axes take up much of the noise, ten lie √(10/6)
-= 1.3 times nearer. More is no noise, but a pole that moved."""
+"""At most this much further do a LiDAR's returns lie from the common axes than from its separate
+axes, beyond a least bound in metres: of few returns separate axes take up much of the noise, ten
+lie √(10/6) = 1.3 times nearer. More is no noise, but a pole that moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     recorded
         What was recorded.
     datum
-        Poses to start from, shared poles and what is known of them.
+        Poses to start from, shared poles and the surveyed values.
     few
         Whether to adjust by a part of the surfaces alone, which is faster, and to test nothing.
 

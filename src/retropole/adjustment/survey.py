@@ -24,8 +24,8 @@ from ..surfaces.visibility import OVERLAP_DISTANCE
 from .shared import SharedPole
 
 END_MARGIN = 0.3
-"""Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
-a wrong end of the tape, and the poles' pose along the pole."""
+"""Returns on a pole of which one end was surveyed lie on one side of that end, or at most this far
+beyond, metres: a wrong end of the tape, and the poles' pose along the pole."""
 
 ROUGH = 0.1
 """Poses may be off by as much before they are adjusted, metres: a survey that fits so well is laid
@@ -236,14 +236,14 @@ def axis_distance(end: Array, pole: SharedPole) -> float:
 
 
 def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
-    """Whether the returns on a pole lie between its surveyed ends, most of them, as far as known.
+    """Whether the returns on a pole lie between its surveyed ends, or mostly, as far as known.
 
     Not all: height is what rough poses know least, and something bright on a pole makes it longer.
     """
     if each.foot is None or each.top is None:
         (end,) = ends_of(each)
         along = (pole.extent - end) @ pole.direction
-        # All on one side of it.
+        # All on one side of the end.
         return bool(min(along.max(), -along.min()) < END_MARGIN)
     length = float(np.linalg.norm(each.top - each.foot))
     along = (pole.extent - each.foot) @ (each.top - each.foot) / length
@@ -369,7 +369,7 @@ def _is_better(fit: Fit, plain: Fit, ends: int) -> bool:
     """Whether another way of writing the survey fits clearly better than the survey as it is."""
     if fit.ends == plain.ends:
         return plain.rms > 2.0 * max(fit.rms, MOST_RMS)
-    # All of it, or more than a pole or a point that is wrong by itself.
+    # The whole survey, or more than a pole or a point that is wrong by itself.
     meets_more = plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
     return meets_more and order(fit) < order(plain)
 
@@ -453,7 +453,7 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
         if p != each.placement and pole_at(structs.replace(each, placement=p), poles):
             return Reason(
                 "survey_unmet",
-                f"{each.name} is surveyed where a pole of placement {name} stands, not one of "
+                f"{each.name} is surveyed at a pole of placement {name}, not at one of "
                 f"{where}, and was left out: which placement does it belong to?",
                 {**values, "other": name},
             )
@@ -461,12 +461,12 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
     near = "the LiDARs see no pole there"
     if gaps:
         values["gap_m"] = min(gaps)
-        near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} beside it"
+        near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} away"
     if gaps and min(gaps) < OVERLAP_DISTANCE:
         near = "what the LiDARs see there reaches beyond its surveyed ends"
     return Reason(
         "survey_unmet",
-        f"no pole of placement {where} stands where {each.name} was surveyed ({near}), and it was "
+        f"placement {where} has no pole where {each.name} was surveyed ({near}), and it was "
         "left out: check its coordinates and placement, or whether anything hides it",
         values,
     )

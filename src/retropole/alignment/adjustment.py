@@ -284,7 +284,7 @@ def align_beams(
     T_start
         (4, 4) the chosen hypothesis, target from source.
     radius, radius_sigma
-        Of the poles as given, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it. If the
+        Of the poles as given, and its 1 σ, metres: at least the fraction `RADIUS_TOLERANCE`. If the
         returns conflict with it, they alone are used.
     sizes, left
         Of the systematic errors of both LiDARs, and of their sway; see `ErrorModel`.

@@ -75,7 +75,7 @@ def read_stored(
     Raises
     ------
     Refusal
-        If it was refused, and ``no_covariance`` where the file does not say how certain it is.
+        If it was refused, and ``no_covariance`` if the file does not state its uncertainty.
     ReadError
         If it cannot be read, or has no pose, or several, of these LiDARs.
     """
@@ -475,7 +475,7 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
                 return Reason(
                     "swapped",
                     f"{place}, given for {lidar.name}, is the file that the result has for "
-                    f"{owner}; give each LiDAR its own file",
+                    f"{owner}; give each LiDAR a different file",
                     {"told_by": "hashes", "given_for": lidar.name, "of": owner},
                 )
     return None

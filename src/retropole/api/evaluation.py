@@ -51,7 +51,7 @@ def evaluate(
     ----------
     target, source
         A path that `io.read_cloud` reads, an array, (N, 3) or (N, 4), or a `PointCloud`; each in
-        its own sensor's frame.
+        the frame of its sensor.
     T_target_source
         (4, 4) maps source points into the target's frame; or a result; or a file of any format
         that ``retropole export`` writes, or the folder of a result. The poles of a result are

@@ -46,7 +46,7 @@ MERGED = "/retropole/points"
 """Topic on which clouds are published."""
 
 LATE = 0.15
-"""A sweep is waited for so long, s: one and a half turns at 10 Hz."""
+"""Longest wait for a sweep, s: one and a half turns at 10 Hz."""
 
 STOPPED = 1.0
 """Seconds without a sweep after which a LiDAR is no longer waited for: ten turns."""
@@ -62,7 +62,8 @@ CHECK_SWEEPS, CHECK_SECONDS, FIRST_CHECK = 3, 60.0, 5.0
 """Sweeps of each LiDAR that are checked against the result, how often, and when first, s."""
 
 LONGEST_CHECK = 300.0
-"""A check that takes longer has lost its process, s: one of ten LiDARs takes a tenth of it."""
+"""A check that takes longer has lost its process, s: with ten LiDARs it takes a tenth of this
+time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +188,7 @@ class _Reader(Thread):
                 self._arrival.notify()
 
     def _made(self, frame: Frame, came: float) -> float:
-        """Give the time of a sweep by this computer's clock, from which its own may differ much."""
+        """Give the time of a sweep by this computer's clock, not by that of the LiDAR."""
         stamp = frame.stamp if frame.clock is None else frame.clock
         if stamp is None:
             return came
@@ -231,8 +232,8 @@ class LiveMerge:
     crop
         (2, 3) corners of a box in the frame of all; what is outside is left out.
     check
-        Given some sweeps of each LiDAR that records, says which moved. It is called in a process of
-        its own, so that no cloud waits for it, and is pickled for that. None checks nothing.
+        Given some sweeps of each LiDAR that records, says which moved. It is called in a separate
+        process, so that no cloud waits for it, and is pickled for that. None checks nothing.
     every
         How often it is called, s.
 

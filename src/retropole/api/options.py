@@ -79,8 +79,8 @@ def checked_options(config: RunConfig) -> RunConfig:
     Returns
     -------
     RunConfig
-        The same, of Python's own types: the result document has no others. Files of sensors and
-        of angles have their whole paths.
+        The same, in Python's built-in types: the result document has no others. Files of sensors
+        and of angles have their whole paths.
 
     Raises
     ------

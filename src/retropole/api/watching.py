@@ -345,7 +345,7 @@ class Watch:
         return with_options(self._wish.config, target_topic=target, source_topic=source)
 
     def _keep(self, capture: Capture, now: float) -> Advice:
-        """Write a placement, and calibrate by all of them, or check by this one.
+        """Write a placement, and calibrate by all placements, or check by this one.
 
         If it cannot be written it stays in memory, and is tried again.
         """

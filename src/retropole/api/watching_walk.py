@@ -1,8 +1,8 @@
 """`watch --carried`: one pole is carried in view of two LiDARs, and the walk is solved as it grows.
 
-Each sweep is searched once, and written as it arrives. Every few seconds the walk so far is solved
-in the background. Once that is good enough, the recording is closed and calibrated with the poles
-already found in its sweeps.
+Each sweep is searched once, and written as it arrives. Every few seconds the data received are
+solved in the background. Once that is good enough, the recording is closed and calibrated with the
+poles already found in its sweeps.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ NO_WAY = Advice(
 
 
 class Walked:
-    """The data of one LiDAR of a walk so far: its sweeps with times, searched once each.
+    """The data of one LiDAR of a walk: its sweeps until now with times, searched once each.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Walked:
 
 
 class Solution(NamedTuple):
-    """A walk so far: why it gives no answer, or the answer with the surroundings, and how to
+    """The walk until now: why it gives no answer, or the answer with the surroundings, and how to
     continue.
 
     At the range of the need, ``sigma`` is 1 σ and ``bound`` the error bound of all points, with
@@ -288,7 +288,8 @@ class WalkWatch(Watch):
             except OSError as error:
                 why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
                 message = (
-                    f"{why}. Free disk space: the walk so far is lost, and starts again afterwards."
+                    f"{why}. Free disk space: the data of this walk are lost, and it starts again "
+                    "afterwards."
                 )
                 self._stop(message)
                 self._no_room = Advice("not_written", message), now + 5.0
@@ -327,7 +328,7 @@ class WalkWatch(Watch):
         return path
 
     def _stop(self, why: str) -> None:
-        """Leave out the walk so far, and begin another."""
+        """Leave out the data of this walk, and begin another."""
         self._note(f"the walk is left out: {why}")
         with suppress(OSError, Dropped), self._stream:
             raise Dropped

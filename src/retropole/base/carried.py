@@ -20,7 +20,7 @@ class LidarWalk(msgspec.Struct, frozen=True, eq=False):
     clock_offset_s, clock_sigma_s, clock_drift, middle_s
         What makes its times those of the reference, as of `CarriedWalk`; 0 of the reference.
     sweeps, found, range_scale, edge_jitter_rad, clock_windows
-        Its own, as of `CarriedWalk`.
+        Of this LiDAR, as of `CarriedWalk`.
     """
 
     clock_offset_s: Number

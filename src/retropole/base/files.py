@@ -44,7 +44,7 @@ unfinished: set[str] = set()
 """Files that are removed with the run: whoever ends the process at once removes them first."""
 
 older: dict[Path, Path] = {}
-"""Where the files of a run before are that were set aside, by their own names."""
+"""Where the files of a run before are that were set aside, by their original names."""
 
 leaving: list[Callable[[], None]] = []
 """What else comes first: of where other machines look, none sees that a process has ended."""
@@ -235,7 +235,7 @@ def _set_aside_until_written(paths: Iterable[Path]) -> None:
 
 
 def _put_back(path: Path) -> bool:
-    """Give a file that was set aside its own name again; return whether there was one."""
+    """Give a file that was set aside its original name again; return whether there was one."""
     aside = older.pop(_key(path), None)
     if aside is None or not aside.is_file():
         return False

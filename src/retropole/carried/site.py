@@ -188,7 +188,7 @@ def _refined(
 
 
 def _check_conflicts(names: Sequence[str], scans: SiteScans, T: Array, way: Array) -> None:
-    """Compare what stands around each two LiDARs under their poses.
+    """Compare the surroundings of each two LiDARs under their poses.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def _weaknesses(site: Site, scans: SiteScans, lidars: Sequence[LidarPose]) -> It
 
 
 def _walk(adjusted: Adjusted, solved: Solved, order: Sequence[int]) -> SiteWalk:
-    """Say how the pole was carried, and what each LiDAR saw of it, in the order of the site."""
+    """State how the pole was carried, and what each LiDAR saw, in the order of the site."""
     points, directions = axes_in_target(adjusted)
     offsets = adjusted.clocks[:, 0] + solved.ahead
     sigmas = adjusted.clock_sigmas

@@ -32,7 +32,7 @@ FASTEST = 0.5
 """A carrier that moves faster drives, m/s: that is no recording to check by."""
 
 LEVER = 10.0
-"""A carrier that creeps turns as about a point so far away, metres, 1 σ."""
+"""A carrier that creeps turns as about a point at this distance, metres, 1 σ."""
 
 SWEEP = 0.2
 """Recordings whose middles differ in time by more than a sweep of the slowest LiDARs takes, s,
@@ -83,7 +83,7 @@ class CarrierMotion:
         return Reason(
             "carrier_moved",
             f"the carrier of the LiDARs moved while they recorded, by {rate} each second as their "
-            f"sweeps show, and the recordings are {1e3 * abs(self.apart):.0f} ms apart: the "
+            f"sweeps show, and the recordings differ by {1e3 * abs(self.apart):.0f} ms: the "
             f"{error(self._moved)} and {turned} that this adds to the pose are removed",
             self._values,
         )
@@ -93,7 +93,7 @@ class CarrierMotion:
         moved = float(np.linalg.norm(step[TRANSLATION]))
         return Reason(
             "carrier_moved",
-            f"the recordings are {1e3 * abs(self.apart):.0f} ms apart by their timestamps: a "
+            f"the timestamps of the recordings differ by {1e3 * abs(self.apart):.0f} ms: a "
             f"carrier that creeps at {moved / abs(self.apart):.2f} m/s gives such a pose "
             "although the LiDARs did not move on it, and single sweeps do not show whether the "
             "carrier moved; record some seconds, or while it is at rest",

@@ -1,7 +1,7 @@
 """The field test of two LiDARs by the distances between poles, without any calibration.
 
 After ISO 17123-9, whose idea it takes: two instruments measure the same targets, and the distances
-between targets do not depend on where an instrument is. Each LiDAR's axes come from its own
+between targets do not depend on where an instrument is. Each LiDAR's axes come from its
 returns (`axes`), and are compared by `distances` that no rigid motion changes. See docs/check.md.
 """
 
@@ -177,7 +177,7 @@ class FieldTest:
 def certify(
     placements: Sequence[Placement], *, radius: float, radius_sigma: float = 0.0
 ) -> FieldTest:
-    """Test by the distances between poles whether two LiDARs measure as well as is stated of them.
+    """Test by the distances between poles whether two LiDARs measure as well as stated.
 
     Nothing is raised: what cannot be tested is ``refused``, with the reason.
 

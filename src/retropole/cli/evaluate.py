@@ -106,9 +106,9 @@ def evaluate(
     \b
       METHODS
 
-    Those that are not retropole's own use the surroundings and no poles. Their ok is not checked:
+    Methods other than retropole use the surroundings and no poles. Their ok is not checked:
     only the errors against a truth show whether they are right. --radius and the options of
-    sensors are for retropole's own.
+    sensors are for retropole alone.
 
     \b
     Examples:

@@ -121,7 +121,7 @@ def export(
     if fmt == MCAP and out is None:
         raise click.UsageError(f"--to {MCAP} needs --out: it cannot be printed")
     if mounting is not None and (into is not None or fmt == MCAP):
-        why = f"--to {MCAP} has only the LiDARs" if into is None else "the robot holds it"
+        why = f"--to {MCAP} has only the LiDARs" if into is None else "the robot file has it"
         raise click.UsageError(f"--mounting does not apply: {why}")
     base = None if mounting is None else transforms.read_mounting(mounting, parent)
     parent = base.child if base else parent
@@ -137,8 +137,8 @@ def export(
             _warn(result)
             if fmt not in TREE_TITLES:
                 raise click.UsageError(
-                    f"--to {fmt} holds one transform; name two frames of the site with --parent "
-                    f"and --child, or write all of them: --to {', '.join(TREE_TITLES)}"
+                    f"--to {fmt} has one transform; name two frames of the site with --parent "
+                    f"and --child, or write all frames: --to {', '.join(TREE_TITLES)}"
                 )
             if fmt == MCAP:
                 _write(transforms.write_transforms(tree.edges, tree.verdict), out)

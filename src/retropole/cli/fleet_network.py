@@ -44,8 +44,8 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
     node (its name in the network, the same wherever the LiDAR was), site (the id in DATASET) and
     lidar (target or source of a pair, otherwise as the site file calls it). A row with x_m, y_m,
     z_m and sigma_m says where its node was surveyed; seen_x_m, seen_y_m and seen_z_m where the node
-    sees that point, if it is not its own origin. Without survey the first node of each component is
-    its frame.
+    sees that point, if it is not the node's origin. Without survey the first node of each component
+    is its frame.
 
     FILE has the pose and covariance of every node, the test of every relative pose and control
     point, and what was left out and why.

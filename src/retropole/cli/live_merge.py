@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..api.live_merging import LiveWish
 
 PACE_SECONDS = 10.0
-"""How often a line says how clouds keep up, s."""
+"""How often a line reports the rate of clouds, s."""
 
 
 def merge_until_stopped(

@@ -69,7 +69,7 @@ class Brief(click.Command):
         more_option("--help-all", callback=_all, help=description, **flag)(self)
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the text, up to the form feed or all of it."""
+        """Write the text, up to the form feed, or whole."""
         first, _, rest = cleandoc(self.help or "").partition("\f\n")
         formatter.write_paragraph()
         with formatter.indentation():
@@ -78,7 +78,7 @@ class Brief(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and how many more there are."""
         super().format_options(ctx, formatter)
-        # The one that shows them is not one of them.
+        # The option that shows them is not included.
         more = sum(getattr(each, "more", False) for each in self.params) - 1
         if more and HELP_ALL not in ctx.meta:
             formatter.write(f"\n--help-all: {more} more\n")
@@ -195,7 +195,7 @@ class Both(Option):
     """An option of both LiDARs: given once for both, or for TARGET and again for SOURCE.
 
     It is repeated rather than split at a comma: paths may hold one, ``1,5`` is a number to many,
-    and a shell completes each value on its own. Options that were of one LiDAR each still work.
+    and a shell completes each value separately. Options that were of one LiDAR each still work.
     """
 
     def __init__(self, *names: Any, pair: Pair, **settings: Any) -> None:
@@ -257,7 +257,7 @@ def verdict_options(more: str) -> Callable[[Command], Command]:
 def run_option(
     field: str | Pair, name: str | None = None, **changes: Any
 ) -> Callable[[Command], Command]:
-    """Make a command's option of a field of `RunConfig`, or of a pair of them.
+    """Make a command's option of a field of `RunConfig`, or of a pair of fields.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def report(
     The page shows the clouds that the result names. They are looked for by their path, from here
     and from the folder of RESULT; give TARGET and SOURCE where they are at another place now (and
     again for each further placement). Files that differ from those of the run are drawn, and both
-    the page and this command say that they differ.
+    the page and this command report that they differ.
 
     Of a site, recordings that are not found, or differ from those of the run, are left out of the
     page, and it says so. Give those that are at another place now, in any order: each is

@@ -47,7 +47,7 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
       FOLDER/mast-a.pcd      one placement only; lidar_1.pcd, lidar_2.pcd as well
 
     Placements have numbers, or a word and a number (1, p2, placement-3); LiDARs any names.
-    Comments in the file say what may be added: sensors, surveyed poles, the accuracy needed.
+    Comments in the file list what may be added: sensors, surveyed poles, the accuracy needed.
 
     \b
     Examples:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 CHECKED = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 
 GRACE = 2.0
-"""What is under way when a signal comes may take so long, s: then it waits for a file that never
+"""Time that work under way may take after a signal, s: then it waits for a file that never
 ends, or for a program that does not answer, and is broken off."""
 
 
@@ -135,10 +135,10 @@ def watch(
 
     TARGET and SOURCE are LiDARs that record now. The command says which poles each one sees, and
     what to do next; while all is good and still it keeps sweeps, calibrates, and ends when the need
-    is met (--need-cm and --at-m). Else it says what to do for another placement. The folder gets
-    the recordings (MCAP), the result, its report, and a certificate where the poles allow one.
+    is met (--need-cm and --at-m). Else it tells you what to do for another placement. The folder
+    gets the recordings (MCAP), the result, its report, and a certificate where the poles allow one.
 
-    With --carried, one person walks with one pole: the command shows the way and says how to go on,
+    With --carried, one person walks with one pole: the command shows the way and how to go on,
     and ends by itself.
 
     \b
@@ -177,7 +177,7 @@ def watch(
     from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:
-        raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
+        raise click.UsageError("--at-m is the distance at which --need-cm applies: give both")
     if options["carried"] and (plan is not None or stored is not None):
         raise click.UsageError("--plan and --check need fixed LiDARs and poles, without --carried")
     texts = target, source

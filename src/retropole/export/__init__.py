@@ -1,6 +1,6 @@
 """The transform in the forms that other programs take, and the way back.
 
-`FORMATS` has a writer and a reader for each; `read_transform` reads any of them, a result
+`FORMATS` has a writer and a reader for each; `read_transform` reads any format, a result
 document, or the truth that ``retropole simulate`` writes. `TREE_FORMATS` hold the frames of a whole
 site, which `read_tree` gives.
 """
@@ -280,7 +280,7 @@ def read_tree(path: Path) -> Tree | None:
             return None
     level, level_file = None, file.with_name(LEVEL_FILE)
     if document.status != "refused" and level_file.exists():
-        # It loads the steps that made it, which nothing else here needs.
+        # It loads the steps that made it, which is not needed here otherwise.
         from ..result.level import level_of
 
         with naming(level_file):

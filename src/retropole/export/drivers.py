@@ -1,7 +1,8 @@
 """Configurations of LiDAR drivers, which then publish the source's points in the target's frame.
 
 Each driver applies ``p' = Rz(yaw) Ry(pitch) Rx(roll) p + t`` to the points in the frame that it
-publishes them in otherwise: ``T_target_source`` where the recordings are its own. Units differ.
+publishes them in otherwise: ``T_target_source`` if the recordings are from that driver. Units
+differ.
 """
 
 from __future__ import annotations

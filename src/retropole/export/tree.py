@@ -158,7 +158,7 @@ def found_in_site(document: SiteDoc) -> list[Found]:
 
 
 def grid_of(tree: Tree) -> Grid | None:
-    """What the projected system of a site does to lengths in the middle of it; None without one."""
+    """What the projected system of a site does to lengths in its middle; None without one."""
     if tree.frame.epsg is None:
         return None
     (at,) = geodetic(tree.frame, tree.places.mean(axis=0, keepdims=True))

@@ -1,4 +1,4 @@
-"""URDF: a fixed joint of its own, or put into a robot that else stays as it is.
+"""URDF: a separate fixed joint, or put into a robot that else stays as it is.
 
 The origin of a joint is the pose of the child in the parent: ``T_parent_child``. Its ``rpy`` are
 angles about fixed axes, x then y then z. XML that others wrote is read by the standard library and
@@ -143,7 +143,7 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     Returns
     -------
     bytes
-        The file with the joint, in its own encoding, indentation and line endings.
+        The file with the joint, in the original encoding, indentation and line endings.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def _check_parent(robot: Element, transform: Transform) -> None:
     if parent not in links:
         raise UsageError(
             f"the robot has no link {parent!r} for the parent; it has {len(links)}: "
-            f"{', '.join(links[:20]) or 'none'}. Name the LiDAR's own link, with --parent"
+            f"{', '.join(links[:20]) or 'none'}. Name the link of the LiDAR, with --parent"
         )
     way = way_between(_found(robot), child, parent)
     if way is not None and not way.of_parent:

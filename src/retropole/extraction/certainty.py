@@ -70,7 +70,7 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
 
 
 def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
-    """A pole has no gap as long as half of it, except between rings that are far from each
+    """A pole has no gap of half its length, except between rings that are far from each
     other."""
     order = np.argsort(line.along, kind="stable")
     gaps = np.diff(line.along[order])

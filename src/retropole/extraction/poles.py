@@ -53,14 +53,14 @@ def extract_poles(
     radius: float = DEFAULT_RADIUS,
     is_part: bool = False,
 ) -> Detection:
-    """Find the taped poles in a cloud, and say of every other bright thing why it is not one.
+    """Find the taped poles in a cloud, and state why every other bright object is not one.
 
     Parameters
     ----------
     cloud
         Points with intensity.
     sensor
-        What recorded it; gives the threshold where none is given. None asks the cloud itself.
+        What recorded it; gives the threshold where none is given. None takes that of the cloud.
     threshold
         Intensity from which a return is retro-reflective.
     radius

@@ -198,9 +198,7 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     except (KeyError, msgspec.ValidationError) as error:
         raise ReadError(f"{place}: damaged ({said(error)}){AGAIN}") from None
     if len(found) < len(rows) or any(partition_of(each) != partition for each in found):
-        raise ReadError(
-            f"{place}: damaged (a site appears twice, or in the place of another){AGAIN}"
-        )
+        raise ReadError(f"{place}: damaged (a site appears twice, or in another's place){AGAIN}")
     return found
 
 

@@ -135,7 +135,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     overview
         As `overview.overview_of` gives it.
     link
-        Where a site's own report is, as the page links to it; empty for nowhere.
+        Where the report of a site is, as the page links to it; empty for nowhere.
 
     Returns
     -------

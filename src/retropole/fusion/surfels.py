@@ -262,7 +262,7 @@ def _across(spread: Array, rays: Array) -> Array:
 
 
 def _in_cell(middle: Array, size: float) -> BoolArray:
-    """Whether a place (C, 3), from the middle of its cell, is in it: so no surface counts twice."""
+    """Whether a place (C, 3), from the middle of its cell, is in it: no surface is used twice."""
     return np.asarray((np.abs(middle) <= size / 2).all(axis=1))
 
 
@@ -389,7 +389,7 @@ def _kinds(centres: Array, normals: Array, height: float, up: Array) -> IntArray
 def up_by_ground(cloud: PointCloud, T_frame_lidar: Array) -> Array:
     """Find the vertical (3,) in the frame of the pose, by the ground that a LiDAR sees.
 
-    Its own axis where it sees none: most LiDARs are upright.
+    The axis of the LiDAR if it sees none: most LiDARs are upright.
     """
     normal = ground_normal(cloud, np.random.default_rng(0))
     normal = normal if normal @ cloud.axis >= 0 else -normal

@@ -130,7 +130,8 @@ def _linked(
 ) -> tuple[SiteScans, Pair] | None:
     """Link two LiDARs by the first placement that does; None if none does.
 
-    By candidate poles that are confirmed, or `by_place`, whose answer is the same in all of them.
+    By candidate poles that are confirmed, or `by_place`, whose answer is the same in all
+    placements.
     """
     i, j = lidars
     for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):

@@ -314,7 +314,7 @@ def _without_one(
 
 
 def _without(scan: Scan, pole: Pole) -> Scan:
-    """A scan without one of its candidate poles; unchanged if the pole is none of them."""
+    """A scan without one of its candidate poles; unchanged if the pole is not a candidate."""
     left = tuple(own for own in scan.candidates if own is not pole)
     if scan.detection is None or len(left) == len(scan.candidates):
         return scan

@@ -1,6 +1,6 @@
 """Plain arrays of numbers: NumPy's .npy and .npz, text, also that of other formats, and .bin.
 
-Nothing in a ``.bin`` says how long a point is, and a wrong length gives a cloud of nonsense. So a
+Nothing in a ``.bin`` states how long a point is, and a wrong length gives a cloud of nonsense. So a
 length is used only if its values are those of points, and one of two that could be is no guess.
 """
 
@@ -171,7 +171,7 @@ def read_npz(path: Path, wanted: Wanted = USUAL) -> PointCloud:
         return _from_table(only, wanted)
     tables = [name for name in TABLE_KEYS if name in arrays]
     if len(tables) > 1:
-        raise ReadError(f"holds {' and '.join(tables)}, expected one table of points")
+        raise ReadError(f"has {' and '.join(tables)}, expected one table of points")
     for name in tables:
         table = arrays.pop(name)
         if not _is_table(table):
@@ -187,7 +187,7 @@ def read_text(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Values are separated by semicolons, tabs, commas or blanks: the first of these that is in the
     first line of numbers. Lines that start with ``#`` or ``//`` are comments; the last one before
     the numbers that names x, y and z names the columns. A line of one whole number before the
-    points is their number. Decimal commas are read where nothing else can be meant by them.
+    points is their number. Decimal commas are read if they cannot be anything else.
     """
     return _read_lines(path, wanted)
 
@@ -369,7 +369,7 @@ def read_table(body: bytes, columns: int, *, line: int, separator: str | None = 
         raise LineError(line + number, message) from None
     if table.shape[1] != columns:
         number, _ = _first_bad(body, columns, separator) or (0, "")
-        raise LineError(line + number, f"holds {table.shape[1]} values, expected {columns}")
+        raise LineError(line + number, f"has {table.shape[1]} values, expected {columns}")
     return table
 
 
@@ -472,7 +472,7 @@ def _alternate(rows: NDArray[Any]) -> bool:
 
 
 def _why(data: bytes, are_both: bool) -> str:
-    """State why the values are not points, or two kinds of them, and how to convert them."""
+    """State why the values are not points, or two kinds of points, and how to convert them."""
     size = len(data)
     if size % (4 * FLOAT) and size % (5 * FLOAT):
         return (

@@ -171,8 +171,8 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
 
 @kept
 def _axis_from_rings(cloud: PointCloud) -> Cones | None:
-    """The cones of the rings of a cloud, their axis to the side of its own; None if it has these
-    origin and axis already, and if there are none.
+    """The cones of the rings of a cloud, their axis to the side of that of the cloud; None if it
+    has these origin and axis already, and if there are none.
     """
     assert cloud.ring is not None
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)

@@ -274,7 +274,7 @@ def _decompress(body: memoryview, sizes: list[int]) -> bytes:
     if size not in sizes:
         raise ReadError(f"its data decompress to {size} bytes, the header promises {sizes[-1]}")
     if compressed > left:
-        raise ReadError(f"promises {compressed} bytes of compressed data, holds {left}")
+        raise ReadError(f"promises {compressed} bytes of compressed data, has {left}")
     # LZF writes at least three bytes for 264.
     if size > 300 * compressed:
         raise ReadError(f"{compressed} bytes cannot decompress to {size}")
@@ -318,7 +318,7 @@ def pcd_of(cloud: PointCloud) -> bytes:
         fits = np.iinfo(kind) if name == "ring" else np.finfo(kind)
         if column.size and not (fits.min <= column.min() and column.max() <= fits.max):
             runs = f"{name} runs from {column.min():g} to {column.max():g}"
-            raise UsageError(f"{runs}, a PCD holds {fits.min:g} to {fits.max:g}")
+            raise UsageError(f"{runs}, a PCD stores {fits.min:g} to {fits.max:g}")
     points = records_of({name: column.astype(kind) for name, kind, column in kept})
     kinds = [kind for _, kind, _ in kept]
     header = [

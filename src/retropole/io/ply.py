@@ -216,7 +216,7 @@ def _read_ascii(
         table = read_table(text, len(vertex.names), line=line)
         found = len(table)
     if found != vertex.count:
-        raise ReadError(f"holds {found} lines of vertices, the header promises {vertex.count}")
+        raise ReadError(f"has {found} lines of vertices, the header promises {vertex.count}")
     return dict(zip(vertex.names, table.T, strict=True)), body[end:]
 
 
@@ -235,5 +235,5 @@ def _without_lists(row: bytes, vertex: _Element, line: int) -> bytes:
         else:
             raise LineError(line, f"the length of list {prop.name} is not a number")
     if position != len(tokens):
-        raise LineError(line, f"holds {len(tokens)} values, expected {position}")
+        raise LineError(line, f"has {len(tokens)} values, expected {position}")
     return b" ".join(kept)

@@ -357,7 +357,7 @@ FEWEST_FRAMES = 20
 of the beams, and this many show what moved."""
 
 BRIGHT_SHARE = 0.01
-"""Part of the points that are left which the brightest may be: 15,000 of them. Returns on
+"""Part of the points that are left which the brightest may be: 15,000 points. Returns on
 poles are some thousands, and so small a part moves no threshold found from the cloud."""
 
 
@@ -375,7 +375,7 @@ def downsample(cloud: PointCloud, most: int) -> PointCloud:
     Returns
     -------
     PointCloud
-        With its points in their order; those left out are counted in `thinned`.
+        With its points in their order; `thinned` is the number of those left out.
     """
     if len(cloud) <= most:
         return cloud

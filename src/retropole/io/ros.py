@@ -1,7 +1,7 @@
 """Point clouds in ROS bags: topics, frames, and the layout of a message (the extra ``ros``).
 
 ``sensor_msgs/PointCloud2`` and Livox' ``CustomMsg`` have had one layout in ROS 1 and another in
-every ROS 2 so far, so the definitions in a bag, if any, are not used. No ROS is needed.
+every ROS 2 until now, so the definitions in a bag, if any, are not used. No ROS is needed.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def _frames(path: Path, topic: Topic, wanted: Wanted, numbers: range) -> Iterato
             if number == numbers[-1]:
                 return
         promised = f"promises {counted(topic.count, 'message')} on {topic.name}"
-        raise ReadError(f"{promised}, holds {number + 1}")
+        raise ReadError(f"{promised}, has {number + 1}")
 
 
 def frame_of(

@@ -35,7 +35,7 @@ CHAIN_SAMPLE = 600
 """Points of chains that the cones are fitted to: a fit takes 10 ms then."""
 
 START_DISTANCE = 3.0
-"""The apex is looked for, among other places, so far from the middle of the points, metres."""
+"""One distance from the middle of the points at which the apex is looked for, metres."""
 
 LEVEL_SPREAD, LEVEL_GAP = float(np.radians(0.002)), float(np.radians(0.02))
 """Points of one level lie within the first of its middle, rad, and levels farther from each other
@@ -123,7 +123,7 @@ def levels(xyz: Array, cones: Cones) -> IntArray | None:
 
 
 def _starts(points: Array, origin: Array) -> Iterator[Array]:
-    """Places (3,) where the apex may be: most points are near a LiDAR, or all to one side of it."""
+    """Places (3,) where the apex may be: most points are near a LiDAR, or all to one side."""
     yield origin
     yield densest(points)
     middle = np.median(points, axis=0)

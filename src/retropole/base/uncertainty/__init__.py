@@ -16,7 +16,7 @@ MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute value: 1 / 0.6745."""
 
 SIGMAS = 3.0
-"""Whatever is further off, in units of its own 1 σ, is left out: once in 370 times by chance."""
+"""Whatever is further off, in units of its 1 σ, is left out: once in 370 times by chance."""
 
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
@@ -163,7 +163,7 @@ def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
 
 
 def floor() -> Array:
-    """(6, 6) of unmodelled errors: no pose is stated surer than this."""
+    """(6, 6) of unmodelled errors: no pose is stated with less uncertainty."""
     return np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
 
 

@@ -82,8 +82,8 @@ class Confirmation(
         (3,) unit vector, target axes, along which the scene constrains the pose least; None if that
         is no shift, or nothing is above the ground.
     probability_wrong
-        Probability that the answer is off by more than 1° or 0.3 m, where so many recordings
-        deceive; None without a margin. It follows from the others.
+        Probability that the answer is off by more than 1° or 0.3 m, if this share of recordings
+        deceives; None without a margin. It follows from the others.
     """
 
     agreeing: Count

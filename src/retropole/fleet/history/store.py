@@ -87,7 +87,7 @@ class CheckRow(msgspec.Struct, frozen=True):
     step
         (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None if there is none.
     covariance
-        6 × 6 of it, row by row.
+        Covariance of the pose, 6 × 6, row by row.
     random
         6 × 6 of that the part that each check draws anew.
     chi2, power

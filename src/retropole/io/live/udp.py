@@ -569,7 +569,7 @@ def _named(sender: tuple[str, int]) -> str:
 
 
 def _coming(own: socket.socket, closed: Event) -> Iterator[tuple[bytes, tuple[str, int]]]:
-    """Receive packets, with the sender of each, until told to end; then close the port."""
+    """Receive packets, with the sender of each, until the stop event; then close the port."""
     with own:
         while not closed.is_set():
             try:

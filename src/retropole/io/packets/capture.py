@@ -31,7 +31,7 @@ PCAPNG_START = b"\x0a\x0d\x0d\x0a"
 
 BLOCK_HEADER, INTERFACE, SIMPLE, PACKET, RESOLUTION = 12, 1, 3, 6, 9
 """Of a pcapng: bytes of the smallest block; kinds of blocks, and the option of an interface that
-says how long a tick is. From draft-ietf-opsawg-pcapng, 4."""
+states how long a tick is. From draft-ietf-opsawg-pcapng, 4."""
 
 CAPTURE_HEADER, PACKET_HEADER = 24, 16
 """Bytes before the first packet, and before each."""
@@ -150,7 +150,7 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many of them, or None if there is none; the byte where the next begins, and where it
+"""A record, many records, or None if there is none; the byte where the next begins, and where it
 was looked for."""
 
 OF_ONE_SIZE = 8
@@ -401,7 +401,7 @@ class SimilarPackets(NamedTuple):
     Attributes
     ----------
     first
-        One of them.
+        One of these packets.
     rows, times
         Which of all they are, ascending, and when each came, s.
     starts
@@ -514,7 +514,7 @@ READ_AT_ONCE = 256
 """Packets that are read at once where they lie together."""
 
 LARGEST_READ = 2**21
-"""Bytes that are read for them at most, else each by itself."""
+"""Largest number of bytes read for them together, else each by itself."""
 
 UDP = 17
 """Number of UDP in an IP packet."""
