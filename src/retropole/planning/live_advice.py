@@ -230,8 +230,8 @@ def _parallel(views: Sequence[View], now: float) -> Iterator[Advice]:
         degrees = math.degrees(float(np.mean(known)))
         yield Advice(
             "parallel",
-            f"The poles are {degrees:.0f}° apart: lean one by {math.degrees(WEAK_ANGLE):.0f}° or "
-            "more, 20° is good.",
+            f"The angle between the poles is {degrees:.0f}°: lean one by "
+            f"{math.degrees(WEAK_ANGLE):.0f}° or more, 20° is good.",
         )
 
 

@@ -2,7 +2,7 @@
 afterwards.
 
 At the poses as they are known the returns of a pole have an information (`alignment.network`), with
-its own axis eliminated. Poles add up. An information is kept as its root, with the errors of the
+its axis eliminated. Poles add up. An information is kept as its root, with the errors of the
 LiDARs in units of what they are drawn to.
 """
 

@@ -22,7 +22,7 @@ RANGES = (1.0, *(5.0 * k for k in range(1, 13)))
 """Where the curves have their corners, metres: both are nearly straight beyond the first."""
 
 LEAST_GAP = 20.0
-"""Names of two curves are at least so far from each other."""
+"""Least distance between the names of two curves."""
 
 MOST_ABOVE = 4.0
 """A need beyond this many times the largest error is stated in words alone: its line would press

@@ -75,8 +75,8 @@ def axis_words(axis: Array, vertical: Array | None) -> str:
 def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> Iterator[str]:
     """Name the options that would leave one hypothesis, as marked-up sentences.
 
-    A rotation separates them where none within reach of it, 3 σ of the default, is within reach of
-    two: whatever it is, it then leaves one at most.
+    A rotation separates them if none within its reach, 3 σ of the default, is within reach of
+    two: whatever it is, it then leaves at most one.
     """
     config, poses = result.config, [each.T_target_source for _, each in named]
     sigma = math.radians(DEFAULT_CONFIG.prior_sigma_deg)
@@ -85,7 +85,7 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
         upright = PosePrior(None, sigma)
         left = [name for (name, _), T in zip(named, poses, strict=True) if upright.allows(T)]
         if len(left) == 1:
-            yield f"`--up`, if both LiDARs stand upright to within {reach}, leaves {left[0]}"
+            yield f"`--up`, if both LiDARs are upright to within {reach}, leaves {left[0]}"
     if config.prior_rpy_deg is None and _least_turn(poses) > 2 * SIGMAS * sigma:
         instead = " instead of `--up`" if config.up else ""
         known = f"if you know the angles to within {reach}"

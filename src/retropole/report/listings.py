@@ -158,7 +158,7 @@ def hypotheses(result: ResultDoc) -> Listing:
 
 
 def name_of(k: int, hypothesis: HypothesisDoc) -> str:
-    """Name the k-th hypothesis, and say that it is chosen."""
+    """Name the k-th hypothesis, and mark it if it is chosen."""
     return hypothesis_name(k) + (" · chosen" if hypothesis.chosen else "")
 
 

@@ -28,7 +28,7 @@ LEAST_SPAN = 2.0
 """A site is drawn as at least so wide, metres."""
 
 SEEN_ELLIPSE = 34.0
-"""The largest half axis is at most so long in the picture."""
+"""Longest half axis in the picture."""
 
 DOUBT_W = 1.96
 """A sound observation is beyond this once in twenty times; beyond `POOR` the verdict says so."""

@@ -143,7 +143,7 @@ def _where(text: str) -> str:
 
 
 def _poles(document: PolePlanDoc) -> Html:
-    """List the poles, and what each LiDAR will have of them."""
+    """List the poles, and the returns that each LiDAR will have on them."""
     names = [each.name for each in document.lidars]
     several = len(document.placements) > 1
     rows = []

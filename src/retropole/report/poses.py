@@ -104,7 +104,7 @@ def poses(subject: Subject, curve: ErrorCurve | None = None) -> Html:
 
 
 def _copies_of_site(site: SiteDoc) -> Html:
-    """Show the frames of a whole site in formats that take all of them, folded."""
+    """Show the frames of a whole site in formats that take all frames, folded."""
     try:
         tree = tree_of(site)
     except RetropoleError:

@@ -252,7 +252,7 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
     """Draw one pair: points (N, 3) and (M, 3), the source's origin (3,), in the target frame."""
     centre, axes = across(np.concatenate([target, source]))
     flat = [(points - centre) @ axes.T for points in (target, source)]
-    # Returns lie in front of the axis: it is to be found on the far side of them.
+    # Returns lie in front of the axis: it is to be found on their far side.
     sensors = [-(axes @ centre), axes @ (origin - centre)]
     towards = [s / max(float(np.linalg.norm(s)), 1e-9) for s in sensors]
     start = -np.mean(towards, axis=0) * radius * np.pi / 4

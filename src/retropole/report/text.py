@@ -138,7 +138,7 @@ def describe_result(
     *,
     verbose: bool = False,
 ) -> str:
-    """Write a result as a person reads it: the verdict first, and a screen at most.
+    """Write a result as a person reads it: the verdict first, and at most a screen.
 
     Parameters
     ----------

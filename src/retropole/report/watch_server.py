@@ -2,7 +2,7 @@
 
 The page contains nothing of a watch itself: it fetches ``state`` next to it, a `WatchDoc`, again
 and again. One request a connection, few connections, and none for long: whoever else is in the
-network can neither ask for it without its address nor keep others from it for more than moments. It
+network can neither request it without its address nor keep others from it for more than moments. It
 is plain HTTP: who can read the traffic of the network reads it, too.
 """
 
@@ -121,7 +121,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
         return True
 
     def service_actions(self) -> None:
-        """Close what is open for too long, which ends its thread: called again and
+        """Close connections of too long a time, which ends its thread: called again and
         again."""
         self._close_older(LONGEST_SECONDS)
 

@@ -3,14 +3,14 @@
 After a refusal the poles are matched again with one cloud mirrored, and with one cloud scaled. A
 result is used only if the scene then agrees well, and clearly better than under
 any rigid motion: those that the poles allow, and those nearest to the result, since a
-place may be its own mirror image except for a few objects. It never gives a pose.
+place may be its mirror image except for a few objects. It never gives a pose.
 
 Then each cloud is read in other units. A cloud in feet looks like one in metres in which a
 pole of 4 cm is 13 cm thick. So the given radius of the poles shows the unit: if a cloud read in
 a unit shows poles of that width, and they and the scene fit the other cloud, it is in
 that unit. If both clouds show such poles in one other unit and none in metres, the coordinates
 are in that unit, or the poles are thicker than stated by the same factor. The clouds do not
-show which of both is the case: everything is scaled alike.
+show which of both is the case: everything is scaled equally.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def state_answer(
 def _tested(
     paired: Sequence[PairedPlacement], aligned: BeamAlignment, refined: Refinement | None
 ) -> tuple[tuple[Test, ...], list[Reason]]:
-    """Test a pair as a site is tested, and say what does not fit."""
+    """Test a pair as a site is tested, and report what does not fit."""
     if aligned.joint is None:
         return (), []
     lidars = tuple(SiteLidar(name, ()) for name in SIDES)
