@@ -74,7 +74,7 @@ def more_coincide(before: End, after: End, near: frozenset[int] | None = None) -
 def _coinciding(
     end: End, terms: Sequence[SceneTerm], other: End, near: frozenset[int] | None
 ) -> float:
-    """Count what coincides under an answer of what another one places differently."""
+    """Count coincident patches under an answer, of those that another one places differently."""
     count = 0.0
     for term in terms:
         i, j = term.lidars
@@ -367,7 +367,7 @@ def _apart(a: Adjusted, b: Adjusted) -> float:
 
 
 def _check_points(clean: Sequence[Suspect]) -> None:
-    """Refuse where one surveyed point or another explains what does not fit nearly as well.
+    """Refuse if one surveyed point explains the misfit nearly as well as another.
 
     With few points the tests of two go together, and the worse one need not be the wrong one.
 

@@ -247,8 +247,8 @@ def find_datum(
     Raises
     ------
     Refusal
-        ``survey_unmatched`` where nothing surveyed fits what the LiDARs see, ``survey_ambiguous``
-        where it fits in several ways, ``survey_contradicts`` where parts of it do in different
+        ``survey_unmatched`` if no surveyed point fits the recordings, ``survey_ambiguous`` if the
+        survey fits in several ways, ``survey_contradicts`` if parts of the survey fit in different
         ways.
     """
     count = len(site.lidars)

@@ -184,9 +184,8 @@ that independent residuals leave: a tenth of `INFORMATION_SHARE`. Stopped before
 (benchmarks/same_answers.py, number 10) ended 4 σ from where it came to rest."""
 
 CLOSE = 0.02
-"""Patches at this distance have half weight where answers are compared, metres: twice what the
-range offset of a LiDAR is assumed to be where it is not known, and a tenth of the error that a
-moved pole makes of a pose."""
+"""Patches at this distance have half weight where answers are compared, metres: twice the range
+offset assumed for an unknown LiDAR, and a tenth of the error of a pose by a moved pole."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,7 +120,7 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
     Returns
     -------
     sequence
-        The same where no placement shows that they do, or where they are there.
+        The same if no placement shows that they sway as one, or if all are at that rest already.
     """
     moving = [[scan for scan in row if scan is not None and _is_swaying(scan)] for row in rows]
     found = [common_motion(row, poses) if len(row) == len(poses) else None for row in moving]

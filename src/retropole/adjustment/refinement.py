@@ -2,8 +2,8 @@
 
 The poles give a quadratic form of the pose and of the errors of both LiDARs (`alignment.network`);
 the scene adds the distances between surface patches that both LiDARs see, which the same errors
-move (`descent`). Where the search may end at several poses it starts from several; where poles and
-scene disagree, what is stated covers both.
+move (`descent`). Where the search may end at several poses it starts from several; if poles and
+scene disagree, the stated uncertainty covers both.
 
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
 not how much a far surface, seen by few beams, contributes to a rotation: it then fits by itself,
@@ -242,8 +242,8 @@ class Refinement:
     from_poles
         The same step as rotation, rad, and translation, metres at the source's origin.
     other_minima
-        Steps (6,) to where the search ended from other starts within the poles' uncertainty, where
-        that is another pose; empty mostly.
+        Steps (6,) to the ends of the search from other starts within the poles' uncertainty, if
+        they are other poses; empty mostly.
     converged, iterations
         Whether the last step was below its tolerance, and how many were taken.
     surfaces
@@ -301,7 +301,7 @@ is taken for another surface: a car parked at another place, or the back of a tr
 
 
 def without_moved(sets: PatchSets, T: Array, covariance: Array) -> PatchSets:
-    """Leave out of a map what does not lie where it did, each place as a whole.
+    """Leave out the parts of a map that have moved, each place as a whole.
 
     Parameters
     ----------

@@ -223,7 +223,7 @@ def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> Non
     Raises
     ------
     Refusal
-        ``survey_too_weak`` where all are free together, ``degenerate_poles`` where one is.
+        ``survey_too_weak`` if all are free together, ``degenerate_poles`` if one is.
     """
     variance = np.diag(covariance).reshape(-1, POSE)
     turned = np.sqrt(variance[:, :3].max(axis=1))

@@ -43,7 +43,7 @@ MOST_TRIPLES = 60
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """An alignment of what the LiDARs see to the survey, and what of the survey it matches.
+    """An alignment of the recordings to the survey, and the surveyed points that it matches.
 
     Attributes
     ----------
@@ -270,8 +270,8 @@ SURVEY_UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimet
 """Units of coordinates other than metres, metres each."""
 
 MOST_RMS = 0.02
-"""Alignments of the survey to what is seen are distinguished where one fits twice as well, or so
-well as this, metres."""
+"""Alignments of the survey to the recordings are distinguished if one fits twice as well, or within
+this, metres."""
 
 
 def align_to_survey(
@@ -303,7 +303,7 @@ def align_to_survey(
     if rivals:
         raise Refusal(
             "survey_ambiguous",
-            f"what was surveyed fits what the LiDARs see in {1 + len(rivals)} ways, to "
+            f"the survey fits the recordings in {1 + len(rivals)} ways, to "
             f"{1000 * best.rms:.0f} and {1000 * rivals[0].rms:.0f} mm: survey another pole, both "
             "ends of each, or a control point",
             {"ways": 1 + len(rivals), "rms_m": best.rms, "rival_rms_m": rivals[0].rms},
@@ -312,7 +312,7 @@ def align_to_survey(
 
 
 def _check_frames(site: Site, best: Fit, other: Fit, poles: Sequence[SharedPole]) -> None:
-    """Refuse where what the best alignment does not match fixes another frame by itself."""
+    """Refuse if the points that the best alignment does not match fix another frame."""
     left = other.poles - best.poles, other.points - best.points
     if other.rms > ROUGH or not fixes_frame(site, *left):
         # Two lines fit others by chance, but hardly so well.

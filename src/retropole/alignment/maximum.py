@@ -172,8 +172,8 @@ def start_noise(state: State, lidar: int, beams: Beams) -> float:
 
 
 START_ROTATION, START_TRANSLATION = 0.3, 1.0
-"""1 σ about the poses that the search starts from, rad and m: wide enough to add no information
-where the poles do, and the search has a way where the poles of a LiDAR leave it free."""
+"""1 σ about the poses that the search starts from, rad and m: wide enough to add no information in
+directions that the poles determine, and to keep the problem solvable in those that they do not."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -334,8 +334,8 @@ class SiteCheck:
     Attributes
     ----------
     status
-        ``same`` where pairs that are the same join all LiDARs, ``moved`` where a pair moved,
-        ``cannot_tell`` otherwise.
+        ``same`` if unchanged pairs join all LiDARs, ``moved`` if a pair moved, ``cannot_tell``
+        otherwise.
     reasons
         Why nothing was checked; empty if pairs were.
     pairs

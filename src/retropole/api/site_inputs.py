@@ -252,7 +252,7 @@ def check_site(site: Site) -> None:
     Raises
     ------
     UsageError
-        Naming what is wrong and what is expected.
+        If an input is wrong; names the fault and the expected value.
     """
     names = [lidar.name for lidar in site.lidars]
     if len(names) < 2 or len(set(names)) < len(names):

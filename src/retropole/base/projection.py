@@ -200,7 +200,7 @@ def _in_area(system: Projected, at: Array, beyond: float) -> NDArray[np.bool_]:
 
 
 def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
-    """Refuse what lies far outside of where a system is used, or only swapped inside that area."""
+    """Refuse points far outside of the area of use of a system, or inside it only if swapped."""
     inside = _in_area(system, at, BEYOND_AREA)
     if inside.all() and not _in_area(system, at, 0.0).any():
         longitude, latitude = system.proj(

@@ -90,7 +90,7 @@ def tangent_frame(epsg: int, coordinates: Array) -> Frame:
     Raises
     ------
     MissingExtraError, UsageError
-        As `projected`; and where the points are outside of where the system is used.
+        As `projected`; or if the points are outside of the area of use of the system.
     """
     system = projected(epsg)
     middle = np.asarray(coordinates, dtype=float).mean(axis=0, keepdims=True)

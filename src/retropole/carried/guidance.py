@@ -1,8 +1,8 @@
 """What to do next with a carried pole: the continuation that lowers the predicted error most.
 
 Each candidate is a few seconds of walking and leaning from where the pole is now. The rows that it
-would give (`rows`) are linearised as those that were recorded (`linear`), its unknown motion is
-eliminated, and what is left is added to what the walk gives about pose, clocks and errors.
+would give (`rows`) are linearised as the recorded ones (`linear`), and its unknown motion is
+eliminated; the information left is added to that of the walk about pose, clocks and errors.
 """
 
 from __future__ import annotations

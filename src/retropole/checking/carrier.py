@@ -131,8 +131,8 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     Returns
     -------
     CarrierMotion or None
-        None if the times are not known or the same, where the recordings are not of one moment,
-        and where the carrier drives, or turned by more than a LiDAR may that records.
+        None if the times are unknown or equal, if the recordings are not of one moment, or if the
+        carrier drives or turned by more than the limit for a LiDAR that records.
     """
     when = time_of_recording(target), time_of_recording(source)
     if when[0] is None or when[1] is None:

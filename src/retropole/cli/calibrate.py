@@ -144,9 +144,9 @@ def site_calibrate(
 ) -> int:
     """Find the poses of all LiDARs of a site in one frame.
 
-    SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
-    what was surveyed; 'retropole site init' writes one. SITE.toml may be its folder.
-    With carried = true in it, one pole was carried through the view of all LiDARs.
+    SITE.toml lists the LiDARs, their recordings in each placement of the poles, and surveyed
+    points; 'retropole site init' writes one. SITE.toml may be its folder. With carried = true in
+    it, one pole was carried through the view of all LiDARs.
 
     \b
     Examples:

@@ -41,7 +41,7 @@ TO_LOOK_AT = {
         "docs/troubleshooting.md",
     ),
 }
-"""By the command, and of all others, what to do where a file cannot be read, and the page."""
+"""By the command, and for all others: what to do if a file cannot be read, and the page."""
 
 
 class Failure(NamedTuple):

@@ -78,8 +78,8 @@ def export(
     --mounting or --into.
 
     \b
-    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
-    are at another place now, or where RESULT is no result.json.
+    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE if they
+    have been moved, or if RESULT is no result.json.
 
     \b
     Formats:

@@ -102,7 +102,7 @@ def _moved_in_words(moved: Sequence[Path]) -> str:
 
 
 def set_older_aside(command: click.Command, arguments: Sequence[str]) -> None:
-    """Rename what a command would have replaced, where its words make no sense.
+    """Rename what a command would have replaced, if its arguments are wrong.
 
     Not where another run is writing to the folder: it does so itself.
     """

@@ -52,7 +52,7 @@ class Stopped(Event):
 
     @contextmanager
     def breaking(self) -> Iterator[None]:
-        """Break off what is within where it goes on for `GRACE` after a signal."""
+        """Break off the work within if it goes on for `GRACE` after a signal."""
         self._can_break = True
         try:
             with suppress(BrokenOff):

@@ -166,9 +166,8 @@ def read_transform(
     fmt
         Name of the format; None or ``auto`` to recognize it by the suffix and the content.
     parent, child
-        Which transform to take where the file names its frames, also over several transforms of
-        it; what the frames are called where it does not (then ``target`` and ``source`` unless
-        given).
+        Which transform to take where the file names its frames, also over several transforms of it;
+        names of the frames if the file has none (``target`` and ``source`` unless given).
 
     Returns
     -------

@@ -85,7 +85,7 @@ def read_matrix(data: bytes) -> list[Found]:
 
 
 def _without_notes(bracketed: re.Match[str]) -> str:
-    """Leave out a comment; what is in brackets stays where it is numbers alone."""
+    """Leave out a comment; text in brackets stays if it is only numbers."""
     numbers = re.fullmatch(r"(?i)\[((?:[-+\d.e,;\s]|nan|inf)*)\]", bracketed[0])
     return f" {numbers[1]} " if numbers else " "
 

@@ -1,4 +1,4 @@
-"""Whether the points of a cloud can be what a LiDAR saw from where its beams are said to start.
+"""Whether the points of a cloud can be those of a LiDAR at the stated beam origin.
 
 Clouds in the frame of a map are far from its origin. Where the LiDAR was, only the file or its
 rings can say; a pose depends on it, and so does its covariance.

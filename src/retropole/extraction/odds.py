@@ -1,4 +1,4 @@
-"""How probable it is that a line is a pole, by what it looks like and by what is about it.
+"""How probable it is that a line is a pole, by its shape and its surroundings.
 
 The log-odds are linear in a few measures, with weights that a logistic regression gives.
 """

@@ -79,9 +79,9 @@ def extract_poles(
     Raises
     ------
     Refusal
-        ``no_intensity`` where the cloud has none, or the same one everywhere,
-        ``threshold_too_low`` where most of it passes the threshold, ``far_from_lidar``, and
-        ``wrong_sensor`` where its rings are not those of the sensor.
+        ``no_intensity`` if the cloud has none, or the same one everywhere, ``threshold_too_low`` if
+        most of it passes the threshold, ``far_from_lidar``, and ``wrong_sensor`` if its rings are
+        not those of the sensor.
     """
     if cloud.intensity is None or len(cloud) == 0 or np.ptp(cloud.intensity) == 0:
         raise _without_intensity(cloud)

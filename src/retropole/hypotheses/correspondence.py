@@ -459,9 +459,8 @@ def every_match(
     Raises
     ------
     Refusal
-        ``too_few_poles``, ``parallel_poles``, ``no_match`` where no pair of poles of one LiDAR
-        has the shape of a pair of the other, or ``pole_count`` where they agree, but not
-        ``count`` of them.
+        ``too_few_poles``, ``parallel_poles``, ``no_match`` if no pair of poles of one LiDAR has the
+        shape of a pair of the other, or ``pole_count`` if some agree, but not ``count`` poles.
     """
     _check_poles(target, source, count or 2)
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)

@@ -4,7 +4,7 @@
 make GiB of nothing. So only tables of plain columns are read, messages are of bounded length, and
 the steps of SQLite are counted. The records of an MCAP are decoded by mcap; what a chunk unpacks to
 is bounded here, since mcap unpacks whatever there is. rosbags reads ROS 1 bags; of an MCAP it reads
-no messages of ROS 1, and it bounds neither what a chunk unpacks to nor what SQLite computes.
+no messages of ROS 1, and it limits neither the unpacked size of a chunk nor the work of SQLite.
 """
 
 from __future__ import annotations

@@ -160,8 +160,8 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     Returns
     -------
     PointCloud
-        The cloud itself where its rings agree with its origin and axis already, and where they show
-        no other: rings of a rosette are no cones, nor are those of a sweep undistorted in motion.
+        The cloud itself if its rings agree with its origin and axis already, or if they show no
+        other: rings of a rosette are no cones, nor are those of a sweep undistorted in motion.
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud

@@ -68,8 +68,8 @@ def with_rings_shown(cloud: PointCloud) -> PointCloud:
     -------
     PointCloud
         With rings numbered from the lowest elevation that was seen, about the axis. The cloud
-        itself where it has rings, and where its points show none: those of a LiDAR that does not
-        repeat its pattern, of one that moved, or of several.
+        itself if it has rings, or if its points show none: those of a LiDAR that does not repeat
+        its pattern, of one that moved, or of several.
     """
     if cloud.ring is not None or len(cloud) < MIN_RING_POINTS:
         return cloud

@@ -26,7 +26,7 @@ ALLOWED, ALLOWED_RATIO = 2**29, 100
 to 20 fold."""
 
 Spend = Callable[[int], None]
-"""Counts bytes, and raises where a file has used up what it is allowed."""
+"""Counts bytes, and raises if a file exceeds its limit."""
 
 
 class BoundedFile(io.BufferedReader):

@@ -185,7 +185,7 @@ def render_field_test(document: FieldTestDoc) -> str:
 
 
 def _inputs(document: FieldTestDoc) -> Html:
-    """List serial numbers and recordings: what identifies what was tested."""
+    """List serial numbers and recordings: the identification of the tested LiDARs."""
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
     listed = table("What was tested", header, rows, (1, 3))

@@ -217,7 +217,7 @@ def certainty(subject: Subject) -> Html:
 
 
 def uncertainty(subject: Subject, k: int) -> Html:
-    """Show how certain the pose of the k-th LiDAR is, what that means, and what it is made of."""
+    """Show the uncertainty of the k-th LiDAR's pose, its effect, and its sources."""
     pair, lidar, name = subject.pair, subject.site.lidars[k], subject.called(k)
     parts = None if pair is None else pair.uncertainty
     kinds = covariances(lidar, parts)

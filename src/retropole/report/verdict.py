@@ -69,7 +69,7 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
 
 
 def instead_words(subject: Subject) -> str:
-    """Say, as Markdown, what to do instead of using what is too likely wrong; else empty."""
+    """Give, as Markdown, the alternative to an answer that is too likely wrong; else empty."""
     if subject.chance_wrong is None:
         return ""
     trusted = (

@@ -114,7 +114,7 @@ class PolesDoc(msgspec.Struct, frozen=True, eq=False):
 
 
 class InputDoc(msgspec.Struct, frozen=True):
-    """What was read, what was left out of too many, and in `notes` what was lost.
+    """What was read, how many surplus points were left out, and in `notes` other losses.
 
     `frame_id` is the frame of its points by the words of the recording; empty if it has none, or
     several, or what can be no name. `clock_offset_s` is how far the LiDAR's clock is ahead of the

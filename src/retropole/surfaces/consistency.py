@@ -148,7 +148,7 @@ def objects_in(
     *,
     max_tilt: float = MAX_TILT,
 ) -> SceneObjects:
-    """Prepare a cloud, without what is its poles', and a map without what may have driven off.
+    """Prepare a cloud without its poles, and a map without objects that may have driven off.
 
     The random numbers choose the planes that are tried for the ground. Those tilted by less than
     `max_tilt` against the LiDAR, rad, go before the others.
@@ -398,8 +398,8 @@ LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
 PEAKS = 4
-"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: where most
-cells coincide need not be where most of the scene agrees."""
+"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: the shift with
+most coinciding cells need not be that with most agreement of the scene."""
 
 HALF_SIDE = 30.0
 """Cells within this distance of the middle of the source's points are compared, metres."""

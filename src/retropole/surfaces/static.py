@@ -162,7 +162,7 @@ def check_recordings(placements: Sequence[Placement]) -> None:
 
 
 def what_to_give(first: int, second: int) -> str:
-    """Say what to give instead where recordings of two placements, or of one, are the same."""
+    """Advise what to give instead if recordings of two placements, or of one, are the same."""
     if first == second:
         return "give the recording of one LiDAR as TARGET and that of the other as SOURCE"
     return "give each placement separate recordings, made after the poles were moved"

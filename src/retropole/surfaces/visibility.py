@@ -62,7 +62,7 @@ RELATIVE_MARGIN = 0.1
 direction to violate free space: poles leave up to a degree of error in the pose."""
 
 OWN_VEHICLE = 1.5
-"""Returns nearer than this to where the beams start are on what carries the LiDAR, metres."""
+"""Returns nearer than this to the beam origin are on the carrier of the LiDAR, metres."""
 
 REACH_QUANTILE = 0.99
 """A LiDAR reaches as far as this quantile of its ranges: single returns come from farther."""

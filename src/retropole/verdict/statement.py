@@ -38,7 +38,7 @@ NAMED = re.compile(r"(?<![-\w])(the )?(?P<side>target|source)( LiDAR)?(?![-\w])"
 
 @dataclass(frozen=True, eq=False)
 class Answered:
-    """A calibration of two LiDARs, and what it rests on where it is no refusal."""
+    """A calibration of two LiDARs, and what it is based on unless it is refused."""
 
     calibration: Calibration
     paired: Sequence[PairedPlacement] = ()

@@ -81,8 +81,8 @@ class Uncertainty(msgspec.Struct, frozen=True, eq=False, omit_defaults=True):
         (6, 6) over ``[φ, δ]``, rad and m: type A, from the scatter of these data. Recording again
         draws it again.
     systematic
-        (6, 6) type B, from what is known of the instruments and the poles, and of what no model
-        names. Recording again repeats it.
+        (6, 6) type B, from the known errors of the instruments and the poles, and from unmodelled
+        errors. Recording again repeats it.
     budget
         Every source of error, the largest first.
     """

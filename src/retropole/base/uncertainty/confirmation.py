@@ -34,8 +34,8 @@ smaller odds, with which no wrong answer to such recordings was confirmed (bench
 --times, seeds 100 to 135)."""
 
 UNUSABLE = 0.2
-"""Above this probability that it is wrong an answer is not to be used, and what is reported of it
-is what to do instead. Chosen: one in five and more of such answers are wrong."""
+"""An answer is not to be used above this probability that it is wrong; the report then advises what
+to do instead. Chosen: one in five and more of such answers are wrong."""
 
 REDUNDANT = -4.0
 """The same for poles that are redundant: of the answers with three or four poles in 1,000

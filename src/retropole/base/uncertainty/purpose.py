@@ -45,8 +45,8 @@ LARGEST_NEED, FARTHEST = 10.0, 1000.0
 """Errors and distances that a need may name, metres: no LiDAR is that poor, and none reaches it."""
 
 USABLE = Need(0.3, DEFAULT_AT)
-"""What an answer must be good for to be ok where nobody says for what: benchmarks/coverage.py
-counts those that are further off. With the scene, bounds at 30 m are a tenth of it in the median
+"""Required accuracy of an answer to be ok if no need is stated: benchmarks/coverage.py counts those
+that are further off. With the scene, bounds at 30 m are a tenth of it in the median
 (benchmarks/fit.py)."""
 
 

@@ -31,8 +31,8 @@ POWER = 0.8
 """With which probability the least detectable error is found (Baarda 1968)."""
 
 LEAST_CHECKED = 1e-5
-"""Part of an error that must show in the residuals to be tested: far above the rounding that is
-left of what no observation checks, far below what any test could find."""
+"""Part of an error that must show in the residuals to be tested: far above the rounding errors of
+unchecked observations, far below the least error that any test could find."""
 
 PLAIN = 10.0
 """How far beyond chance an observation must miss at first to be out before any test, as a multiple

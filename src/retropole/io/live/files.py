@@ -1,5 +1,5 @@
-"""Folders that grow by files, and bags that are being recorded: whoever writes them, they are read
-on from where the last look ended.
+"""Folders that grow by files, and bags that are being recorded: independent of their writer, they
+are read on from the end of the last look.
 
 An MCAP file has its index at its end, so that there is none yet: whole records are read in turn.
 """

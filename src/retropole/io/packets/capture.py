@@ -150,8 +150,8 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many records, or None if there is none; the byte where the next begins, and where it
-was looked for."""
+"""A record, many records, or None if there is none; the byte at which the next begins, and that at
+which it was looked for."""
 
 OF_ONE_SIZE = 8
 """This many records of one size in a row may be followed by more, which are found at once."""
@@ -465,7 +465,7 @@ def similar_packets(
 
 
 def _udp(packet: bytes, link: int, time: float) -> tuple[Datagram, int, IntArray]:
-    """Take what UDP carries in a packet, where it begins, and which bytes before it are the same in
+    """Take the UDP payload of a packet, its position, and which bytes before it are the same in
     each packet of its size and sender.
     """
     nothing = Datagram(b"", "", time), 0, np.zeros(0, np.int64)

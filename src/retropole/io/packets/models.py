@@ -1,8 +1,8 @@
 """Models of LiDARs by their packets: each is a table of its maker's file, none is code.
 
-A table states how packets of a model are recognized, what they hold where, and at which angles and
-when each channel fires. What packets of one shape have in common is a family: a layout here, and
-a module with ``positions`` and ``decode``.
+A table states how packets of a model are recognized, the layout of their fields, and the angles and
+times at which each channel fires. What packets of one shape have in common is a family: a layout
+here, and a module with ``positions`` and ``decode``.
 """
 
 from __future__ import annotations
