@@ -155,7 +155,7 @@ def prior_poses(
 def check_poles_left(
     site: Site, dependent: Sequence[Dependent], poles: Sequence[SharedPole]
 ) -> None:
-    """Refuse if the pole that a link depends on is gone: surroundings alone are no calibration.
+    """Refuse if the pole that a link depends on is gone: surroundings alone are not a calibration.
 
     Raises
     ------

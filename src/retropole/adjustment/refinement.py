@@ -7,7 +7,7 @@ scene disagree, the stated uncertainty covers both.
 
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
 not how much a far surface, seen by few beams, contributes to a rotation: it then fits by itself,
-and its residual is no check. So the answer is sought again without each such place, with weights
+and its residual is not a check. So the answer is sought again without each such place, with weights
 and partners anew, and what is stated covers both. Since a map was made cars may have driven off and
 others parked almost there: whatever may have is one place, however large. What the surfaces leave
 open in a map, the registration gives, as far as it does without each part of the surroundings
@@ -538,10 +538,10 @@ def _disagreement(
 ) -> float:
     """Squared distance of the poses of poles and scene, in units of the σ that the poles state.
 
-    Poles that state a small σ for a wrong pose hold the search where the true surfaces are out of
-    reach:
-    the scene is used again with the poles hardly counted, as far as they may then be off. Used
-    also `within` what the search left, its other minima are no denial where they have less support.
+    If poles state a small σ for a wrong pose, the search does not reach the true surfaces: the
+    scene is used again with poles of hardly any weight, and a search as wide as they may then be
+    off. If also used `within` what the search left, other minima with less support do not
+    contradict.
     """
     assert poles.covariance is not None
     T = poles.T_target_source
@@ -552,7 +552,7 @@ def _disagreement(
     far = max((each for each in found if each.scene), key=support_of, default=None)
     if far is None:
         return apart
-    # What the scene alone does not hold is no denial.
+    # Directions that the scene alone does not constrain contradict nothing.
     return max(apart, distance_sq(poles.covariance + far.search[POSE:, POSE:], T, far.T[1]))
 
 

@@ -52,7 +52,7 @@ POLES_AND_SURVEY = f"{POLES} and of the survey"
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
 """At most this much further do a LiDAR's returns lie from the common axes than from its separate
 axes, beyond a least bound in metres: of few returns separate axes take up much of the noise, ten
-lie √(10/6) = 1.3 times nearer. More is no noise, but a pole that moved."""
+lie √(10/6) = 1.3 times nearer. More is not noise, but a pole that moved."""
 
 
 @dataclass(frozen=True, eq=False)

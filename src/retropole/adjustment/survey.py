@@ -29,7 +29,7 @@ beyond, metres: a wrong end of the tape, and the poles' pose along the pole."""
 
 ROUGH = 0.1
 """Poses may be off by as much before they are adjusted, metres: a survey that fits so well is laid
-no better, and one that fits worse is no separate frame."""
+no better, and one that fits worse is not a separate frame."""
 
 SAMPLES = 5
 """Points on a surveyed pole that represent returns when it is matched."""

@@ -76,8 +76,8 @@ class ReturnsRadius:
     def sigmas_below(self, radius: float, sigma: float) -> float:
         """By how many σ the returns indicate a thinner pole than a given one with its 1 σ.
 
-        A thicker one is no contradiction: tape blooms, and beams next to a pole return as if they
-        had hit it.
+        A thicker one is not a contradiction: tape blooms, and beams next to a pole return as if
+        they had hit it.
         """
         return max(radius - self.value, 0.0) / float(np.hypot(self.sigma, sigma))
 

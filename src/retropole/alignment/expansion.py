@@ -1,10 +1,10 @@
 """The likelihood of a LiDAR's returns on poles to second order: by pose, its errors, and axes.
 
 An axis is averaged over the uncertainty that the beams of one LiDAR leave. Where few returns lie
-on a pole, or beams are wide compared with it, the likelihood of its axis is no parabola but a box
-with blurred walls: a return shows that its beam hit the pole, but hardly where. The curvature at
-the maximum is that of the wall which happens to be near. Of all normal distributions ``N(d, Σ)`` of
-the axis, the one closest to the posterior has
+on a pole, or beams are wide compared with it, the likelihood of its axis is not a parabola but a
+box with blurred walls: a return shows that its beam hit the pole, but hardly where. The curvature
+at the maximum is that of the wall which happens to be near. Of all normal distributions ``N(d, Σ)``
+of the axis, the one closest to the posterior has
 
     E[∇ log L] = 0,    Σ⁻¹ = −E[∇² log L],
 

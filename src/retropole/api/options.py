@@ -55,7 +55,7 @@ def with_keywords(
     Raises
     ------
     UsageError, TypeError
-        As `checked_options`; for a keyword that is no option.
+        As `checked_options`; for a keyword that is not an option.
     """
     if not isinstance(options, RunConfig):
         raise UsageError(f"options is {options!r}, expected a RunConfig")

@@ -34,7 +34,7 @@ def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) 
     Raises
     ------
     ReadError
-        If there is none, or it is no plan; names the file and the field.
+        If there is none, or it is not a plan; names the file and the field.
     UsageError
         If it is of other LiDARs.
     """

@@ -186,7 +186,7 @@ def read_site_file(path: Path) -> SiteFile:
     Raises
     ------
     ReadError
-        If it cannot be read or is no site file; names the file, the key and what was expected.
+        If it cannot be read or is not a site file; names the file, the key and what was expected.
     """
     with naming(path):
         with path.open("rb") as file:
@@ -210,7 +210,7 @@ def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
     try:
         raw = tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:
-        # Also of what is no UTF-8, and of integers that Python does not convert.
+        # Also of text that is not UTF-8, and of integers that Python does not convert.
         raise ReadError(f"is not TOML: {said(error)}") from None
     try:
         site = msgspec.convert(raw, SiteFile)

@@ -265,7 +265,7 @@ def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
     Raises
     ------
     ReadError
-        If there is no such file, or it is none; names the file.
+        If there is no such file, or it is of another kind; names the file.
     """
     with readable(file):
         data = read_document(file)

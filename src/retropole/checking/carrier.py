@@ -1,7 +1,7 @@
 """What a carrier that moves between two recordings makes of the pose between their LiDARs.
 
 A vehicle reported as stationary may creep. Where its LiDARs recorded at different times, it was
-at another pose, and the pose between them is off by its motion: that is no movement of the
+at another pose, and the pose between them is off by its motion: that is not a movement of the
 rig. The sweeps of a recording show the motion (`surfaces.sway.velocity_of`), and it is removed. A
 single sweep shows none; then only the assumed speed of a stationary carrier bounds it.
 """
@@ -29,7 +29,7 @@ recordings that were assumed stationary crept at up to 0.24 m/s; the test
 explains 4.1 σ, 0.29 m/s, less the noise of the poses."""
 
 FASTEST = 0.5
-"""A carrier that moves faster drives, m/s: that is no recording to check by."""
+"""A carrier that moves faster drives, m/s: such a recording cannot be used for a check."""
 
 LEVER = 10.0
 """A carrier that creeps turns as about a point at this distance, metres, 1 σ."""

@@ -107,9 +107,9 @@ def fleet_check(
 
     Of each site all checks since it was calibrated count: a step is reported when a second check
     confirms it, a trend when enough have shown it, and that the site moved when two checks in a row
-    say so. A single check that is off is no change.
-    What the history has already is not checked again. What is wrong with one site is in its row,
-    and ends nothing; what is damaged of the history is named and left out.
+    say so. A single check that is off is not a change. What the history has already is not checked
+    again. What is wrong with one site is in its row, and ends nothing; what is damaged of the
+    history is named and left out.
 
     \b
     Examples:

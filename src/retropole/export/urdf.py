@@ -150,9 +150,9 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     MissingExtraError
         Where lxml is not installed.
     ReadError
-        If it is no well-formed URDF, and where a joint on the way moves or is an expression.
+        If it is not a well-formed URDF, or if a joint on the way moves or is an expression.
     UsageError
-        If it is unclear what to change: the parent is no link, or is not connected with the
+        If it is unclear what to change: the parent is not a link, or is not connected with the
         link that the child's joint starts at; the child has several joints; its joint moves or is
         an expression; or it would close a circle.
     """
@@ -198,7 +198,7 @@ def _links(robot: Element) -> list[str]:
 
 
 def _check_parent(robot: Element, transform: Transform) -> None:
-    """Refuse where the parent is no link, or is below the child: a joint would close a circle."""
+    """Refuse if the parent is not a link, or is below the child: a joint would close a circle."""
     parent, child, links = transform.parent, transform.child, _links(robot)
     if parent not in links:
         raise UsageError(

@@ -1,6 +1,6 @@
 """What makes a line that could be a pole a candidate: thick, interrupted, seen end on, or worn.
 
-Such a line is no pole for what confirmed poles are used for, and is kept among the candidates. See
+Such a line is not used as a confirmed pole, and is kept among the candidates. See
 docs/evidence/detection.md, Certain or doubtful.
 """
 

@@ -284,7 +284,7 @@ def answered(
         "frame": frame if lidars else None,
         "lidars": lidars,
         "sigma_30m_m": max(at_range, default=None),
-        # When it was made, and how long it took, is no part of the answer.
+        # When it was made, and how long it took, is not part of the answer.
         "document": encode(msgspec.structs.replace(document, created="", seconds={})).decode(),
     }
 

@@ -33,7 +33,7 @@ MIN_POINTS = 12
 """A surfel has at least this many points of each LiDAR: four times what makes a plane."""
 
 MAX_SURFEL_THICKNESS = 0.05
-"""RMS distance of points from the plane above which they are no surface, metres: single returns
+"""RMS distance of points from the plane above which they are not a surface, metres: single returns
 scatter by up to 0.03 (`sensors.toml`)."""
 
 SAME_NORMAL = float(np.cos(np.radians(15.0)))
@@ -270,7 +270,7 @@ def surfels_of(moments: Moments, origins: Array) -> Surfels:
     """Fit surfels: one for each cell and side.
 
     LiDARs that see a cell from one side, with normals that agree, have one together: a thin wall
-    has one on either side. Single rings and what is no surface have none.
+    has one on either side. Single rings and points not on a surface have none.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ the score, if the overlap is small."""
 
 CERTAIN_MARGIN = 0.15
 """Margin in score of a certain hypothesis over one that the scene contradicts so that it
-is no rival (`RIVAL_FREE_SPACE_VIOLATION`); …"""
+is not a rival (`RIVAL_FREE_SPACE_VIOLATION`); …"""
 
 SUPPORT_LEAST_OVERLAP = 0.2
 """… or one that overlaps less than confirmed poles need (`MIN_OVERLAP`), and in which

@@ -126,7 +126,7 @@ def registered(
     T
         The start.
     near
-        How far the registrations may move `at` from the start; None is no limit.
+        How far the registrations may move `at` from the start; None for no limit.
     at
         (3,) a point of the source, metres; None takes its origin.
 

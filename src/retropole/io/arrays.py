@@ -1,7 +1,7 @@
 """Plain arrays of numbers: NumPy's .npy and .npz, text, also that of other formats, and .bin.
 
 Nothing in a ``.bin`` states how long a point is, and a wrong length gives a cloud of nonsense. So a
-length is used only if its values are those of points, and one of two that could be is no guess.
+length is used only if its values are those of points, and of two possible lengths none is guessed.
 """
 
 from __future__ import annotations
@@ -252,7 +252,7 @@ def _has_decimal_commas(line: str, separator: str | None) -> bool:
 
 
 def _check_colours(values: Array) -> None:
-    """Refuse a file whose last columns are no colours, so that others may be no intensity."""
+    """Refuse a file whose last columns are not colours, so that others may not be an intensity."""
     if not (np.all(values == np.rint(values)) and np.all((values >= 0) & (values <= 255))):
         raise ReadError(
             "its last three columns are not colours from 0 to 255, expected x y z intensity red "
@@ -436,7 +436,7 @@ def _are_four(rows: NDArray[Any]) -> bool:
 def _are_five(rows: NDArray[Any]) -> bool:
     ring = rows[:, 4]
     with np.errstate(invalid="ignore"):
-        # Coordinates, four fifths of what a wrong length puts there, are no whole numbers.
+        # Coordinates, four fifths of what a wrong length puts there, are not whole numbers.
         are_rings = (ring >= 0) & (ring < 256) & (ring == np.round(ring))
     return bool(np.all(are_rings)) and _are_points(rows)
 
@@ -447,7 +447,7 @@ def _are_points(rows: NDArray[Any]) -> bool:
         size = np.abs(rows[:, :3])
         odd = np.any(((size < TINIEST) & (size > 0.0)) | (size > LARGEST), axis=1)
         odd |= rows[:, 3] < 0.0
-    # What is not a number is no return, and dropped; infinity is one of the largest.
+    # What is not a number is not a return, and dropped; infinity is one of the largest.
     # With a wrong length, a third and more of the intensities are coordinates, half of which are
     # negative.
     return float(np.mean(odd & ~np.any(np.isinf(size), axis=1))) <= 0.01

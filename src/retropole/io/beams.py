@@ -161,7 +161,7 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     -------
     PointCloud
         The cloud itself if its rings agree with its origin and axis already, or if they show no
-        other: rings of a rosette are no cones, nor are those of a sweep undistorted in motion.
+        other: rings of a rosette are not cones, nor are those of a sweep undistorted in motion.
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud

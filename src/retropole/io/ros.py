@@ -148,7 +148,7 @@ def frame_of(
     Raises
     ------
     ReadError
-        If it is no such message; names the topic and the number.
+        If it is not such a message; names the topic and the number.
     """
     where = f"message {number} of {topic}"
     with naming(where):

@@ -105,7 +105,8 @@ def chains(xyz: Array) -> IntArray:
 def levels(xyz: Array, cones: Cones) -> IntArray | None:
     """Number (N,) the levels on which the elevations of points (N, 3) lie; None if they do not.
 
-    Seen from far away, or from close to a plane, most points have one elevation: that is no level.
+    Seen from far away, or from close to a plane, most points have one elevation: that is not a
+    level.
     """
     ray = xyz - cones.apex
     near, far = np.quantile(lengths(ray), [0.05, 0.95])

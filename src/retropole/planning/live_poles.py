@@ -161,7 +161,7 @@ def look(
 
 
 def _why(pole: Pole, found: Detection) -> str:
-    """Why a candidate is no pole: the reason given for the cluster with most of its returns."""
+    """Why a candidate is not a pole: the reason given for the cluster with most of its returns."""
     shared = [(np.isin(each.index, pole.index).sum(), each.reason) for each in found.rejected]
     return max(shared, default=(0, ""))[1]
 

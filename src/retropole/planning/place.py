@@ -52,7 +52,7 @@ LIDAR_CLEARANCE = 1.0
 """Distance of poles from a LiDAR, metres."""
 
 MIN_FEET = 4
-"""With fewer positions for a foot there is no ground for poles."""
+"""With fewer positions for a foot the ground has no room for poles."""
 
 
 @dataclass(frozen=True, eq=False)

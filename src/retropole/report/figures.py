@@ -180,7 +180,7 @@ def site_figure(
             textcoords="offset points",
             weight="bold",
             bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.0},
-            # A name with dollar signs is no formula.
+            # A name with dollar signs is not a formula.
             parse_math=False,
         )
     above.set_title(f"all LiDARs in one frame: {frame}\nfrom above", parse_math=False)

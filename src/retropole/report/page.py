@@ -51,7 +51,7 @@ def join(parts: Iterable[Html]) -> Html:
 def fill(piece: str, /, **places: object) -> Html:
     """Fill the places of a piece in `pieces.html`; what is no `Html` is escaped, and visible.
 
-    Numbers that are no integers are places in a picture, and have one digit behind the point.
+    Numbers that are not integers are places in a picture, and have one digit behind the point.
     """
     return Html(_pieces()[piece].substitute({name: _markup(v) for name, v in places.items()}))
 

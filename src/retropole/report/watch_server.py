@@ -138,7 +138,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
             self._open.pop(request, None)
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Write nothing: what others send is no line on a terminal."""
+        """Write nothing: requests of others are not shown on a terminal."""
 
 
 class _Answering(BaseHTTPRequestHandler):
@@ -195,7 +195,7 @@ class _Answering(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Refuse what is no request, or another than GET."""
+        """Refuse an invalid request, or any but GET."""
         self._answer(code, REFUSED)
 
     def log_message(self, format: str, *args: object) -> None:

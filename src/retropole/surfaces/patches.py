@@ -32,7 +32,7 @@ FINER_REACH = 2.0
 """Within this many of its voxels a patch is left to finer ones."""
 
 MAX_THICKNESS = 0.03
-"""RMS distance of a patch's points from its plane, metres, above which it is no surface."""
+"""RMS distance of a patch's points from its plane, metres, above which it is not a surface."""
 
 MAX_LEVERAGE = 0.35
 """Share of a patch's lesser extent that a single point may account for."""

@@ -20,7 +20,7 @@ SWEEP = 50_000
 def why_few_poles(scan: Scan) -> str:
     """Say why a scan shows too few poles, other than their tape; empty if unknown.
 
-    What shines in no place is no tape, whatever the threshold; and one sweep of a LiDAR that does
+    What shines in no place is not tape, whatever the threshold; and one sweep of a LiDAR that does
     not repeat its pattern has too few returns on a pole.
     """
     cloud, found, sensor = scan.cloud, scan.detection, scan.sensor

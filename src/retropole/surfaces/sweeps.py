@@ -54,8 +54,7 @@ def numbered(values: IntArray) -> tuple[IntArray, IntArray]:
 
 CELL_SIDES = (2.0, 1.0, 6.0)
 """Of the cells, metres, in turn: small ones take what lies next to a corner, large ones ground
-where
-rings are too sparse for a smaller one to have two."""
+where rings are too sparse for a smaller one to have two."""
 
 CORNERS = 2 ** np.array([0, 21, 42])
 """One number for each cell, where none is 2²⁰ from the origin."""
@@ -94,7 +93,7 @@ PERIOD = 0.1
 """Of a sweep, s, where it is unknown."""
 
 LONGEST = 0.5
-"""Times of returns that spread further over one sweep are no times of a sweep, s."""
+"""Times of returns that spread further over one sweep are not times of a sweep, s."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,7 +82,7 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     pairs
         Patches that correspond.
     covariance
-        (6, 6) how far the pose may still be off. That is no reason to take a residual for an
+        (6, 6) how far the pose may still be off. That does not make a residual an
         outlier: a distant wall would be given up before the ground has let the pose turn towards
         it.
     """

@@ -46,7 +46,7 @@ class BudgetEntry(msgspec.Struct, frozen=True):
     name
         What errs, such as ``range offset`` or ``scatter of the surfaces``.
     sensor
-        Whose error it is; None if it is no single LiDAR's.
+        Whose error it is; None if it is not of a single LiDAR.
     sigma, unit
         1 σ of the error itself, and its unit: ``m``, ``rad`` or ``1``; not of the pose. Of what is
         no single quantity (scatter, surfaces, unmodelled errors), of a point 30 m away, metres.

@@ -80,7 +80,7 @@ class Confirmation(
         Share of such recordings that deceive, which the next is stated for.
     along
         (3,) unit vector, target axes, along which the scene constrains the pose least; None if that
-        is no shift, or nothing is above the ground.
+        is not a shift, or nothing is above the ground.
     probability_wrong
         Probability that the answer is off by more than 1° or 0.3 m, if this share of recordings
         deceives; None without a margin. It follows from the others.

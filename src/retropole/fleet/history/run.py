@@ -147,7 +147,7 @@ def check_fleet(
     MissingExtraError
         Without the extra ``fleet``.
     UsageError
-        Where `answers` is no dataset, or a site names another stored result.
+        If `answers` is not a dataset, or a site names another stored result.
     ReadError
         If the dataset is damaged.
     OSError

@@ -345,7 +345,7 @@ def _parts(names: list[str], most: int) -> Iterator[list[str]]:
 
 
 def rows_of(table: Any, report: Report = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
-    """Give the checks of each site of a table in the order of time; what is no row is reported."""
+    """Give the checks of each site of a table in the order of time; report invalid rows."""
     micros = table.set_column(
         table.schema.get_field_index("time"), "time", table["time"].cast("int64")
     )
@@ -401,7 +401,7 @@ def _table(columns: list[str] | None, place: str) -> Any:
                 raise ReadError(f"{place}: its columns are not of the schema {SCHEMA}")
             # Others are read meanwhile.
             found = file.read(columns, use_threads=False)
-            # Text that is no UTF-8, for one.
+            # Text that is not UTF-8, for example.
             found.validate(full=True)
     except ReadError as error:
         return error

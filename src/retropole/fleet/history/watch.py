@@ -19,7 +19,7 @@ separately; correlations of later checks between these axes are neglected. For e
 Changes show in several checks together: for onsets within the last year, a step and a trend from
 there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
 1976; Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as
-if its scatter were that much wider. So a single one is no change, but two that agree are. An
+if its scatter were that much wider. So a single one is not a change, but two that agree are. An
 excluded check waits until another shows whether it is an *outlier*, if the next fits again (a
 lorry was in view), or the first of a *step*. A change that was found becomes part of the
 expectation, and the watch continues.

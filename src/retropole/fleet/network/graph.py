@@ -233,7 +233,7 @@ def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
     near = np.zeros(graph.nodes + 1)
     for _ in range(2):
         reach = np.maximum(score, np.maximum(near[i], near[j]))
-        # The ground is no neighbourhood: it does not connect controls at two ends of a city.
+        # The ground is not a neighbourhood: it does not connect controls at two ends of a city.
         for end in (i, j):
             np.maximum.at(near, end, reach)
         near[-1] = 0.0

@@ -130,7 +130,7 @@ def fired(model: Model, packets: NDArray[np.uint8]) -> Iterator[Fired]:
     """Keep the returns of packets within the range of the model, the last of equal ones."""
     layout = _layout(model)
     near, far = (np.array(model.range_m) / model.distance_m).round(6)
-    # Zero is no return.
+    # Zero is not a return.
     least, most = max(math.ceil(near), 1), min(math.floor(far), 2**16 - 1)
     modes = _of_packets(packets, layout.returns, "u1") if layout.returns else np.zeros(1, np.uint8)
     echoes = ECHOES.get(int(np.bincount(modes).argmax()), 1) if len(packets) else 1

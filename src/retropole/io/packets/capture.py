@@ -106,7 +106,7 @@ def walk(path: Path) -> Capture:
     Raises
     ------
     ReadError
-        If the file is no capture, has no whole packet, or is damaged all over.
+        If the file is not a capture, has no whole packet, or is damaged all over.
     """
     size = path.stat().st_size
     records, gaps = list[Record | NDArray[np.void]](), list[Record]()
@@ -130,7 +130,7 @@ def walk(path: Path) -> Capture:
                 end = at
             if following > end:
                 gaps.append(Record(end, following - end))
-            # More is not worth the time: it is no capture.
+            # More is not worth the time: it is not a capture.
             if len(gaps) > 1000 or tries[0] <= 0:
                 damaged = f"is damaged at {len(gaps)} places up to byte {following}"
                 raise ReadError(f"{damaged}, expected a capture")
@@ -256,7 +256,7 @@ def _blocks(file: BinaryIO, size: int, tries: list[int]) -> Iterator[Step]:
         elif kind == SIMPLE and interfaces:
             (sent,) = struct.unpack_from(f"{order}I", block, 8)
             record = Record(at + 12, min(sent, length - 16), 0.0, interfaces[0][0])
-        # What pads a block is no gap.
+        # The padding of a block is not a gap.
         yield record, record.start + record.size, at
         at += length
 
