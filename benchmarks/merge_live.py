@@ -68,7 +68,7 @@ def run(count: int, minutes: float) -> None:
             cpu, merge_start = time.process_time(), time.monotonic()
             while (now := time.monotonic() - start) < 60 * (minute + 1):
                 merge.step()
-                said += [f"{now:.0f} s: {words}" for words in merge.new_words()]
+                said += [f"{now:.0f} s: {words}" for words in merge.new_messages()]
                 if is_late and now > LATE:
                     is_late, running[count - 1] = False, publisher(count - 1, seconds + 30)
                 if is_killed and now > seconds / 2:

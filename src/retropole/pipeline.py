@@ -75,8 +75,8 @@ class Options:
     sensors
         What the target and the source LiDAR are; None if not known.
     thresholds
-        Intensity from which a return is treated as retro-reflective, in each cloud; None asks the
-        sensor, or else the cloud itself.
+        Intensity from which a return is treated as retro-reflective, in each cloud; None takes it
+        from the sensor, or else the cloud.
     poles
         Exact number of poles that both LiDARs see; None takes any number from one up. Without any,
         0, the scene gives all of the pose, and the clouds need no intensity.
@@ -132,8 +132,8 @@ def calibrate(
     Parameters
     ----------
     target, source
-        The two clouds, each in its own frame; both need an intensity. Or as many clouds of each as
-        there were placements of the poles, in the same order: one pose is found for all.
+        The two clouds, each in the frame of its LiDAR; both need an intensity. Or as many clouds of
+        each as there were placements of the poles, in the same order: one pose is found for all.
     options
         What is known of both, and how the pose is to be found.
     progress
@@ -185,7 +185,7 @@ def calibrate_placements(
     found
         Of each placement, in the frames of the clouds.
     seconds
-        Time of each step so far; those of this one are added.
+        Time of each previous step; those of this one are added.
     options, progress
         As of `calibrate`.
     check

@@ -42,8 +42,8 @@ def test_without_a_survey_it_is_the_frame_of_the_reference(steps: Steps) -> None
         free = datum.free.reshape(-1, 6)
         assert not free[reference].any()
         assert free[[i for i in range(3) if i != reference]].all()
-        assert site.lidars[reference].name in datum.words
-        assert "nothing was surveyed" in datum.words
+        assert site.lidars[reference].name in datum.text
+        assert "nothing was surveyed" in datum.text
         # Poles and LiDARs moved together.
         for pole, before in zip(datum.poles, steps.datum.poles, strict=True):
             back = se3.inverse(datum.poses[0])
@@ -57,7 +57,7 @@ def test_without_a_survey_it_is_the_frame_of_the_reference(steps: Steps) -> None
 def test_where_nothing_links_the_reference_another_lidar_is_it(steps: Steps) -> None:
     poses = {i: T for i, T in steps.choices.best.poses.items() if i != 0}
     datum = find_datum(steps.site, steps.scans.origins, poses, [])
-    assert "posts-2" in datum.words
+    assert "posts-2" in datum.text
     assert not datum.free.reshape(-1, 6)[0].any()
 
 
@@ -77,7 +77,7 @@ def test_inertial_sensors_level_it(simulated: SimulatedSite, steps: Steps) -> No
     for i in range(3):
         up = adjusted.end.T[i][:3, :3] @ simulated.T_world_lidar[i][:3, :3].T @ [0.0, 0.0, 1.0]
         np.testing.assert_allclose(up[:2], 0.0, atol=2e-4)
-    assert "2 inertial sensors" in datum.words
+    assert "2 inertial sensors" in datum.text
 
 
 def test_a_survey_is_its_frame(simulated_survey: SimulatedSite, surveyed: Steps) -> None:
@@ -89,7 +89,7 @@ def test_a_survey_is_its_frame(simulated_survey: SimulatedSite, surveyed: Steps)
     site = simulated_survey.as_site()
     marked = [pole for pole in surveyed.datum.poles if pole.surveyed is not None]
     assert {pole.name(site) for pole in marked} == {each.name for each in site.poles}
-    assert "6 surveyed ends of poles and 4 control points" in surveyed.datum.words
+    assert "6 surveyed ends of poles and 4 control points" in surveyed.datum.text
 
 
 def test_ends_stay_at_their_poles_when_others_are_left_out(surveyed: Steps) -> None:
@@ -158,8 +158,8 @@ def test_the_true_frame_is_as_near_as_is_stated(habit: str) -> None:
     found = seen(known, np.eye(4))
     own = {0: np.eye(4), 1: np.eye(4)}
     datum = find_datum(replace(survey_site(known), radius=RADIUS), np.zeros((2, 3)), own, found)
-    assert "6 surveyed ends of poles" in datum.words
-    assert "control point" not in datum.words
+    assert "6 surveyed ends of poles" in datum.text
+    assert "control point" not in datum.text
     surveyed = datum.surveyed
     directions = np.array([pole.direction for pole in found])
     points = np.array([pole.point for pole in found])

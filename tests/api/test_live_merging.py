@@ -76,7 +76,7 @@ def run(merge: LiveMerge, seconds: float) -> list[str]:
     end, words = time.time() + seconds, list[str]()
     while time.time() < end:
         merge.step(0.05)
-        words += merge.new_words()
+        words += merge.new_messages()
     return words
 
 
@@ -222,5 +222,5 @@ def test_a_lidar_that_turned_since_is_found(tmp_path: Path) -> None:
         clouds = {"target": seen.target, "source": seen.source.transformed(T)}
         frames = {name: [Frame(0, cloud, 0.0)] for name, cloud in clouds.items()}
         found = check_live(tmp_path, frames)
-        assert found.moved == moved, found.words
-        assert found.words.startswith("checked: source moved" if moved else "checked: no LiDAR")
+        assert found.moved == moved, found.text
+        assert found.text.startswith("checked: source moved" if moved else "checked: no LiDAR")

@@ -145,7 +145,7 @@ def test_voxels_are_of_all_lidars_together(tmp_path: Path) -> None:
     [
         ({"out": "a.laz", "surfels": 0.3}, "surfels are written as .ply"),
         ({"surfels": 0.3, "voxel": 0.1}, "surfels use all points"),
-        ({"out": "a.mcap", "voxel": 0.1}, "MCAP holds the sweeps one by one"),
+        ({"out": "a.mcap", "voxel": 0.1}, "MCAP stores the sweeps one by one"),
         ({"out": "a.ply", "frame": "site"}, "no frame is named 'site'; there are target, source"),
         ({"out": "a.ply", "frame": "map"}, "the result has no frame map"),
         ({"out": "a.ply", "frame": "source", "epsg": 25832}, "--crs belongs to the frame map"),

@@ -122,8 +122,8 @@ def test_one_name_with_numbers_is_of_as_many_lidars(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("names", "said"),
     [
-        ((), "holds no recordings"),
-        (("a.pcd", "b/1.pcd"), r"holds recordings \(a.pcd\) and folders \(b\)"),
+        ((), "has no recordings"),
+        (("a.pcd", "b/1.pcd"), r"has recordings \(a.pcd\) and folders \(b\)"),
         (("north/east.pcd", "south/east.pcd"), "north, south hold east, and neither look like"),
         (("1/2.pcd", "2/2.pcd"), "1, 2 hold 2, and both look like numbers of placements"),
         (("a_1.pcd", "b.pcd"), "a_1.pcd may be LIDAR_PLACEMENT, b.pcd is not"),

@@ -101,10 +101,10 @@ def test_a_page_without_a_cloud_that_is_gone_or_another_reports_it(own: Path) ->
     assert other.endswith("the page does not show it")
     page = loaded.report(own / "again.html").read_text()
     assert page.count('class="alert"') == 2
-    assert "1 cloud; the page holds" in page
+    assert "1 cloud; the page shows" in page
     (own / "s" / FILES[2]).unlink()
     page = loaded.report(own / "again.html").read_text()
-    assert "the page holds" not in page
+    assert "the page shows" not in page
     assert "Poses of the LiDARs" in page
 
 

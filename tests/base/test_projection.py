@@ -37,7 +37,7 @@ def test_scale_and_convergence_are_the_slopes_of_the_projection(epsg: int) -> No
 
 
 def test_the_words_say_what_30_m_become() -> None:
-    words = projection.grid_at(UTM, np.radians([50.0, 9.0, 0.0])).words
+    words = projection.grid_at(UTM, np.radians([50.0, 9.0, 0.0])).text
     assert "EPSG:25832, ETRS89 / UTM zone 32N: 30 m on the ground are 29.9880 m" in words
     assert "-12.0 mm, scale 0.9996000" in words
 
@@ -74,8 +74,8 @@ def test_a_compound_system_gives_its_horizontal_part() -> None:
 def test_a_system_that_bends_angles_reports_it_and_by_how_much() -> None:
     at = np.radians([50.0, 20.0, 0.0])
     grid = projection.grid_at(3035, at)
-    assert "it is not conformal" in grid.words
-    assert "conformal" not in projection.grid_at(25834, at).words
+    assert "it is not conformal" in grid.text
+    assert "conformal" not in projection.grid_at(25834, at).text
     ways = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0, np.pi, 181)])
     frame = Frame("f", surveyed=True, epsg=3035, geodetic=Geodetic(*at))
     full = world.to_frame(frame, np.vstack([np.zeros(3), ways]))
@@ -85,11 +85,11 @@ def test_a_system_that_bends_angles_reports_it_and_by_how_much() -> None:
 
 def test_a_place_that_a_system_is_not_meant_for_is_reported() -> None:
     # Norway uses zone 33 as far as Bergen.
-    assert "not intended for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
-    assert "not intended for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
+    assert "not intended for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).text
+    assert "not intended for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).text
     frame = world.tangent_frame(28992, np.array([[470_000.0, 690_000.0, 0.0]]))
     assert frame.geodetic is not None
-    assert "are the coordinates right" in projection.grid_at(28992, frame.geodetic.array).words
+    assert "are the coordinates right" in projection.grid_at(28992, frame.geodetic.array).text
 
 
 def test_coordinates_that_only_swapped_lie_where_a_system_is_used_are_refused() -> None:

@@ -163,8 +163,8 @@ def test_words_say_how_much_longer_to_record() -> None:
     short = Sway(0.0007, 0.5, 1.0, covariance)
     assert short.periods == pytest.approx(0.5)
     assert short.seconds_more == pytest.approx(ENOUGH / 0.5 - 1.0)
-    assert short.words == (
+    assert short.text == (
         "± 0.04° at 0.5 Hz, 0.5 periods; its position at rest is known to ± 0.006°: record 3 s more"
     )
-    assert "record" not in Sway(0.0007, 0.5, 10.0, covariance).words
-    assert "as stated" in stated_sway(0.001).words
+    assert "record" not in Sway(0.0007, 0.5, 10.0, covariance).text
+    assert "as stated" in stated_sway(0.001).text

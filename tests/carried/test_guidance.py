@@ -64,7 +64,7 @@ def test_more_never_makes_it_worse_and_what_is_not_seen_says_nothing() -> None:
 @pytest.mark.full
 def test_a_pole_that_never_leaned_is_to_be_leaned() -> None:
     _, steps = next_steps(so_far(0.005), UNKNOWN, "front", AT)
-    assert "lean the pole" in steps[0].words.lower()
+    assert "lean the pole" in steps[0].text.lower()
 
 
 @pytest.mark.full

@@ -174,7 +174,7 @@ def test_a_mounting_is_needed_once(tmp_path: Path) -> None:
     path, file = write_result(tmp_path, pose=T), tmp_path / "mounting.urdf"
     file.write_text(TWO_ON_A_BASE)
     for words, reason in (
-        (("--into", file, "--mounting", file), "the robot holds it"),
+        (("--into", file, "--mounting", file), "the robot file has it"),
         (("--to", "mcap", "--out", tmp_path / "x", "--mounting", file), "has only the LiDARs"),
         (("--to", "json", "--mounting", file), "2 transforms fit"),
         (("--to", "json", "--mounting", file, "--parent", "left"), "0 transforms fit"),

@@ -86,7 +86,7 @@ def test_a_refused_site_exits_with_3_and_writes_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (("--to", "matrix"), "holds one transform; name two frames"),
+        (("--to", "matrix"), "has one transform; name two frames"),
         (("--to", "urdf", "--parent", "mast-a"), "together name two of its frames"),
         (("--to", "urdf", "--invert"), "together name two of its frames"),
         (("--into", "robot.urdf"), "together name two of its frames"),

@@ -98,7 +98,7 @@ class TestTheSameTwice:
         message = check_refused(done, tmp_path / "out", "same_recording")
         assert "of placement 1" in message
         assert "of placement 2" in message
-        assert "give each placement recordings of its own" in message
+        assert "give each placement separate recordings" in message
 
 
 class TestUnits:

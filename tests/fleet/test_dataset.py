@@ -100,7 +100,7 @@ def test_a_partition_follows_from_the_id_alone() -> None:
 def test_a_site_has_one_row_in_its_own_partition(tmp_path: Path) -> None:
     for rows in ([EMPTY, EMPTY], [msgspec.structs.replace(EMPTY, id="elsewhere")]):
         write_partition(str(tmp_path), "part-00.parquet", rows, [])
-        with pytest.raises(ReadError, match="a site appears twice, or in the place"):
+        with pytest.raises(ReadError, match="a site appears twice, or in another's place"):
             known_answers(str(tmp_path))
 
 

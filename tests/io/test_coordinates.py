@@ -81,12 +81,12 @@ def test_a_heap_far_from_the_origin_is_in_the_frame_of_a_map(
     assert odd is not None
     assert odd.is_map
     assert odd.units == ()
-    assert "a LAS file does not store where the LiDAR was" not in odd.words
+    assert "a LAS file does not store where the LiDAR was" not in odd.text
     of_las = oddity_of(replace(cloud, source="survey.LAZ"))
     assert of_las is not None
     assert (
         "a LAS file does not store where the LiDAR was, so that the origin of the beams is unknown"
-        in of_las.words
+        in of_las.text
     )
 
 
@@ -100,7 +100,7 @@ def test_no_place_is_smaller_than_a_hand() -> None:
     odd = oddity_of(scaled(scene(13.0), 0.001))
     assert odd is not None
     assert odd.is_tiny
-    assert "the given unit" in odd.words
+    assert "the given unit" in odd.text
 
 
 def test_a_long_range_with_much_near_is_metres() -> None:

@@ -50,16 +50,16 @@ def test_a_pole_that_was_put_elsewhere_is_named_with_the_way_back(plan: PolePlan
     first, second = stood.deviations
     assert not first.is_as_planned
     assert second.is_as_planned
-    assert "move it 0.8 m nearer" in first.words
+    assert "move it 0.8 m nearer" in first.text
     left = np.array([-out[1], out[0], 0.0])
     first, _ = against_plan(plan, as_seen(plan, 0, 0.7 * left), "front").deviations
-    assert "move it 0.7 m to the right" in first.words
+    assert "move it 0.7 m to the right" in first.text
 
 
 def test_a_pole_that_is_missing_and_one_that_is_not_planned_are_reported(plan: PolePlanDoc) -> None:
     poles = as_seen(plan, 0)
     stood = against_plan(plan, poles[1:], "front")
     assert stood.deviations[0].offset is None
-    assert "is not seen" in stood.deviations[0].words
+    assert "is not seen" in stood.deviations[0].text
     far = msgspec.structs.replace(poles[0], point_m=poles[0].point_m + np.array([0.0, 9.0, 0.0]))
     assert against_plan(plan, [*poles, far], "front").others == 1

@@ -61,8 +61,8 @@ def test_a_silent_lidar_goes_first(poles: list[Pole]) -> None:
     silent = View("rear", silent="nobody publishes /rear")
     advice = said(view("front", poles[:1]), silent)
     assert advice.code == "silent"
-    assert "rear" in advice.words
-    assert "nobody publishes /rear" in advice.words
+    assert "rear" in advice.text
+    assert "nobody publishes /rear" in advice.text
     old = replace(view("rear", poles), looked=Looked(NOW - 10, PointCloud(np.ones((5, 3)))))
     assert said(view("front", poles), old).code == "silent"
 
@@ -70,7 +70,7 @@ def test_a_silent_lidar_goes_first(poles: list[Pole]) -> None:
 def test_what_cannot_be_read_is_reported(poles: list[Pole]) -> None:
     advice = said(view("front", poles), replace(view("rear", poles), fault="point_step is 3"))
     assert advice.code == "unreadable"
-    assert "point_step is 3" in advice.words
+    assert "point_step is 3" in advice.text
     refusal = Refusal("no_intensity", "the cloud has no intensity", {})
     looked = Looked(NOW, PointCloud(np.ones((5, 3))), refusal=refusal)
     assert said(view("front", poles), View("rear", looked=looked)).code == "no_intensity"
@@ -86,7 +86,7 @@ def test_one_pole_alone_is_missing_another(poles: list[Pole]) -> None:
 def test_a_pole_that_one_lidar_lacks_is_hidden_from_it(poles: list[Pole]) -> None:
     advice = said(view("front", poles), view("rear", poles[:1]))
     assert advice.code == "hidden"
-    assert "rear sees one pole, front sees 2" in advice.words
+    assert "rear sees one pole, front sees 2" in advice.text
 
 
 def test_what_fits_to_the_others_poles_is_named(poles: list[Pole], make_pole: PoleMaker) -> None:
@@ -96,13 +96,13 @@ def test_what_fits_to_the_others_poles_is_named(poles: list[Pole], make_pole: Po
     seen = replace(rear, looked=replace(rear.looked, doubtful=(far,), why=("few",)))
     advice = said(view("front", poles), seen)
     assert advice.code == "too_far"
-    assert "nearer to rear" in advice.words
+    assert "nearer to rear" in advice.text
     dim = replace(rear, looked=replace(rear.looked, dim=(poles[1],)))
     assert said(view("front", poles), dim).code == "dim"
     thick = replace(rear.looked, doubtful=(poles[1],), why=("it is 7 cm wide",))
     advice = said(view("front", poles), replace(rear, looked=thick))
     assert advice.code == "doubtful"
-    assert "it is 7 cm wide" in advice.words
+    assert "it is 7 cm wide" in advice.text
     # Something else that shines is not taken for it.
     other = make_pole([9, 5, 0], UP)
     clutter = replace(rear, looked=replace(rear.looked, doubtful=(other,), why=("wide",)))
@@ -117,7 +117,7 @@ def test_who_stands_before_a_lidar_is_requested_to_step_aside(poles: list[Pole])
     hidden = View("rear", (rear.tracks[0], gone), looked)
     advice = said(view("front", poles), hidden)
     assert advice.code == "in_front"
-    assert "Step aside" in advice.words
+    assert "Step aside" in advice.text
 
 
 def test_moving_and_new_poles(poles: list[Pole]) -> None:
@@ -130,21 +130,21 @@ def test_where_a_lidar_sees_that_does_not_see_all_around_is_reported(
 ) -> None:
     at128 = find_sensor("AT128")
     rear = replace(view("rear", poles[:1]), sensor=at128)
-    assert "inside the 120° that rear sees" in said(view("front", poles), rear).words
+    assert "inside the 120° that rear sees" in said(view("front", poles), rear).text
     nobody = replace(view("rear", []), sensor=at128)
-    assert "inside the 120° that rear sees" in said(view("front", []), nobody).words
+    assert "inside the 120° that rear sees" in said(view("front", []), nobody).text
     edge = [poles[0], make_pole([2.7, 4.4, 0], LEANING)]
     assert said(view("front", edge), replace(view("rear", poles), sensor=at128)).code == "good"
     advice = said(view("front", edge), replace(view("rear", edge), sensor=at128))
     assert advice.code == "at_edge"
-    assert "5.2 m from rear is at the edge" in advice.words
+    assert "5.2 m from rear is at the edge" in advice.text
 
 
 def test_parallel_poles_are_to_be_leaned(poles: list[Pole], make_pole: PoleMaker) -> None:
     alike = [poles[0], make_pole([5, 2, 0], np.array([0.1, 0.0, 1.0]))]
     advice = said(view("front", alike), view("rear", alike))
     assert advice.code == "parallel"
-    assert "6°" in advice.words
+    assert "6°" in advice.text
 
 
 def test_the_second_best_pole_counts(poles: list[Pole]) -> None:
@@ -184,14 +184,14 @@ def test_an_answer_that_is_good_enough_ends_it(answer: ResultDoc) -> None:
     outcome = outcome_of(good, Need(0.02, 30.0))
     assert outcome.is_enough
     assert advice_after(outcome, another(1)).code == "done"
-    assert "up to 30 m away" in advice_after(outcome, another(1)).words
+    assert "up to 30 m away" in advice_after(outcome, another(1)).text
     # Nothing asked for: what any answer is good for.
     assert outcome_of(good, None).need == USABLE
     poor = msgspec.structs.replace(good, covariance=np.eye(6) * 1e-6)
     outcome = outcome_of(poor, Need(0.02, 30.0))
     assert not outcome.is_enough
     assert advice_after(outcome, another(1)).code == "need_not_met"
-    assert advice_after(outcome, another(1)).words.startswith("Placement 2")
+    assert advice_after(outcome, another(1)).text.startswith("Placement 2")
     # What no recording can show is not sent after.
     outcome = outcome_of(good, Need(0.0001, 30.0))
     assert advice_after(outcome, another(1)).code == "need_too_small"
@@ -204,7 +204,7 @@ def test_a_warning_and_a_refusal_say_what_to_do(answer: ResultDoc) -> None:
     assert not outcome.is_enough
     advice = advice_after(outcome, another(1))
     assert (advice.code, advice.is_good) == ("not_confirmed", False)
-    assert "placement" in advice.words
+    assert "placement" in advice.text
     refused = msgspec.structs.replace(
         answer,
         status="refused",
@@ -215,7 +215,7 @@ def test_a_warning_and_a_refusal_say_what_to_do(answer: ResultDoc) -> None:
     outcome = outcome_of(refused, None)
     assert outcome.bound is None
     assert outcome.is_spoilt
-    assert advice_after(outcome, another(1)).words.startswith("Refused")
+    assert advice_after(outcome, another(1)).text.startswith("Refused")
     ambiguous = msgspec.structs.replace(refused, reasons=[ReasonDoc("ambiguous", "two fit", {})])
     assert not outcome_of(ambiguous, None).is_spoilt
 
@@ -238,5 +238,5 @@ def test_masts_that_sway_are_recorded_for_longer(answer: ResultDoc) -> None:
 
 
 def test_how_much_is_to_come() -> None:
-    assert keep_still(8, 30, 0.0).words == "Good: keep still, 8 of 30 sweeps."
-    assert "4 s more" in keep_still(30, 30, 3.2).words
+    assert keep_still(8, 30, 0.0).text == "Good: keep still, 8 of 30 sweeps."
+    assert "4 s more" in keep_still(30, 30, 3.2).text

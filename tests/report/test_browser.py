@@ -316,7 +316,7 @@ def test_a_refused_site_shows_one_lidar_at_a_time(browser: Browser, tmp_path: Pa
     browser.find('[data-place="1"]').click()
     assert (browser.root("lidars"), browser.root("places")) == ("0010", "01")
     state = browser.find("#state").text
-    assert "no poses: gate alone, in its own frame" in state
+    assert "no poses: gate alone, in its frame" in state
     assert "It recorded nothing there" in state
     browser.press("1")
     assert "nothing" not in browser.find("#state").text
@@ -420,4 +420,4 @@ def test_a_picked_point_is_given_in_the_frame_of_its_lidar(
 def test_a_recording_without_tape_has_no_threshold(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_recordings(["a.pcd"], [Scan(PointCloud(cloud_of(90).xyz))]))
     assert not browser.find("#threshold").is_displayed()
-    assert "tell no tape" in browser.find("#state").text
+    assert "do not show tape" in browser.find("#state").text

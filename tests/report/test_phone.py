@@ -65,7 +65,7 @@ def test_a_finger_scrolls_the_page_and_a_tap_hands_it_the_view(
     assert phone.run(drawn) == seen
     tap(phone, "#marks")
     assert phone.root("active") == "view"
-    assert "tap beside the view" in phone.find("#hint").text
+    assert "tap outside the view" in phone.find("#hint").text
     assert swipe(phone, 120, -200) == 0
     assert phone.run(drawn) != seen
     tap(phone, "#state")

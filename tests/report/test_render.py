@@ -168,21 +168,21 @@ def random_cloud(count: int) -> PointCloud:
 def test_a_page_stays_small_and_says_how_much_it_shows() -> None:
     result = made_up(count=500).result
     page = render_report(result, [placement_of(random_cloud(100_000))])
-    assert "the page holds 200,000 of 200,000 points" in page
+    assert "the page shows 200,000 of 200,000 points" in page
     assert len(page.encode()) < 3e6
     some = render_report(result, [placement_of(random_cloud(2000))], max_points=700)
-    assert "the page holds 1,400 of 4,000 points" in some
+    assert "the page shows 1,400 of 4,000 points" in some
 
 
 @pytest.mark.full
 def test_pages_of_many_clouds_stay_small() -> None:
     page = render_report(made_up(count=500).result, 10 * [placement_of(random_cloud(60_000))])
-    assert f"holds {MAX_PAIR_POINTS:,} of 1,200,000 points" in Page(page).text
+    assert f"shows {MAX_PAIR_POINTS:,} of 1,200,000 points" in Page(page).text
     assert len(page.encode()) < 8e6
     site = made_up_site(placements=2, count=100_000)
     page = render_report(document_of(site), site.scans)
     assert len(page.encode()) < MOST_BYTES
-    shown = re.findall(r"the page holds ([\d,]+) of ([\d,]+) points", page)[0]
+    shown = re.findall(r"the page shows ([\d,]+) of ([\d,]+) points", page)[0]
     assert int(shown[0].replace(",", "")) > 1_400_000
 
 

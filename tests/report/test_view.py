@@ -132,7 +132,7 @@ def test_points_are_shared_among_the_clouds(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(view, "MAX_SITE_POINTS", 250)
     made = view_of(as_subject(DOCUMENT, SITE.scans))
     assert [cloud.points.shown for cloud in made.clouds] == [50] * 5
-    assert "the page holds 250 of" in made.shown
+    assert "the page shows 250 of" in made.shown
 
 
 def test_a_refused_site_has_clouds_without_poses() -> None:

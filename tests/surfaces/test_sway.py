@@ -102,7 +102,7 @@ def test_one_sweep_takes_what_is_stated() -> None:
     assert sway is not None
     assert sway.frequency is None
     assert sway.left_rad == pytest.approx(SIGMA / np.sqrt(2))
-    assert "does not show its position at rest" in sway.words
+    assert "does not show its position at rest" in sway.text
 
 
 @pytest.mark.full

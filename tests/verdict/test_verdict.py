@@ -314,7 +314,7 @@ def test_a_message_counts_what_the_document_counts() -> None:
     with pytest.raises(Refusal) as refused:
         check_confirmation(found)
     (doubted,) = check_unconfirmed(found)
-    for said in (refused.value.message, doubted.message, found.words):
+    for said in (refused.value.message, doubted.message, found.text):
         assert "500 patches agree, 150 contradict, 50 should agree and do not" in said
     for values in (refused.value.values, doubted.values):
         assert (values["contradicting"], values["missing"]) == (150, 50)

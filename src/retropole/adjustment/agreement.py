@@ -210,16 +210,16 @@ RECORD_MORE = "add a placement of the poles, or record where more objects are ar
 
 
 def check_decisive(refined: Refinement | None, helps: str = RECORD_MORE) -> Iterator[Reason]:
-    """Warn where one place alone decides a direction of the pose, and say what helps."""
+    """Warn if a single place determines a direction of the pose, and suggest what helps."""
     for place in () if refined is None else refined.decisive:
         radians, metres = (float(np.linalg.norm(part)) for part in np.split(place.apart, 2))
         x, y, z = (float(v) for v in place.at)
         yield Reason(
             "one_place_decides",
             f"one place {np.linalg.norm(place.at):.0f} m away, at ({x:.1f}, {y:.1f}, {z:.1f}) m of "
-            f"the target, holds {place.share:.0%} of the information about the pose along one "
+            f"the target, gives {place.share:.0%} of the information about the pose along one "
             f"direction; without it the pose lies {error(metres, 'm')} and {error(radians, 'rad')} "
-            f"elsewhere. What is stated is that of the rest: {helps}",
+            f"away. The stated uncertainty is that of the rest: {helps}",
             {
                 "share": place.share,
                 "x_m": x,
@@ -234,7 +234,7 @@ def check_decisive(refined: Refinement | None, helps: str = RECORD_MORE) -> Iter
 def check_agreement(refined: Refinement | None, *, is_map: bool = False) -> list[Reason]:
     """Warn where the scene moves the pose further away than the poles' uncertainty allows.
 
-    Of a map, from where the LiDAR was registered to what cannot have driven off.
+    Of a map, from the pose where the LiDAR was registered to objects that cannot have driven off.
     """
     if refined is None or refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ:
         return []

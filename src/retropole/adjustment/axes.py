@@ -75,7 +75,7 @@ def find_axes(
     sensor
         What it is, and so the sizes of its errors; None if not known.
     radius, radius_sigma
-        Of the poles, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it.
+        Of the poles, and its 1 σ, metres: at least the fraction `RADIUS_TOLERANCE`.
     """
     beams = beams_of(seen, sensor)
     state, noise = maximise_from_lines(beams, radius)

@@ -42,7 +42,7 @@ MORE_PATCHES, TIMES_PATCHES = 5.0, 2.0
 pole that did not move no patch was placed differently, and of every fourth up to 32 where none
 coincided either way (tuning seeds 3 to 40 of tests/adjustment/test_blunders.py, 30 to 90 of
 benchmarks/site.py). Without one that made 33 answers of the former wrong by 0.15 m or more, and
-passed its own tests, 9 to 716 more coincided, 19 times as many or more."""
+passed all tests, 9 to 716 more coincided, 19 times as many or more."""
 
 
 def more_coincide(before: End, after: End, near: frozenset[int] | None = None) -> float:
@@ -74,7 +74,7 @@ def more_coincide(before: End, after: End, near: frozenset[int] | None = None) -
 def _coinciding(
     end: End, terms: Sequence[SceneTerm], other: End, near: frozenset[int] | None
 ) -> float:
-    """Count what coincides under an answer of what another one places differently."""
+    """Count coincident patches under an answer, of those that another one places differently."""
     count = 0.0
     for term in terms:
         i, j = term.lidars
@@ -112,7 +112,7 @@ def conflicting_poles(
     Parameters
     ----------
     recorded, adjusted
-        What was recorded, and what fits by its own tests.
+        What was recorded, and the adjustment that passes its tests.
 
     Yields
     ------
@@ -158,9 +158,9 @@ def check_poles_of_dependent(recorded: Recorded, adjusted: Adjusted) -> Iterator
         if every is not None and every[1] >= MORE_PATCHES:
             raise Refusal(
                 "site_inconsistent",
-                f"{names} moved between the recordings of {each.names(site)}, which nothing else "
-                f"links: without it {every[1]:.0f} more patches of their surroundings coincide; "
-                "record the placement again",
+                f"{names} moved between the recordings of {each.names(site)}, which no other "
+                f"recording links: without it {every[1]:.0f} more patches of their surroundings "
+                "coincide; record the placement again",
                 {"poles": names, "more": every[1], "allowed": MORE_PATCHES},
             )
         if every is None or not _is_constrained(each, every[0]):
@@ -221,8 +221,8 @@ than this is not distinguished: it is up to a hundred times less likely, 2 ln 10
 degrees of freedom."""
 
 TAKES_ALONG = "survey of a pole", "pole", "placement"
-"""What goes with what is left out, the least first: a single point of the survey takes nothing else
-along, both ends of a pole what its survey implies for the frame."""
+"""What goes with what is left out, the least first: a single point of the survey removes nothing
+more, both ends of a pole what its survey implies for the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,7 +367,7 @@ def _apart(a: Adjusted, b: Adjusted) -> float:
 
 
 def _check_points(clean: Sequence[Suspect]) -> None:
-    """Refuse where one surveyed point or another explains what does not fit nearly as well.
+    """Refuse if one surveyed point explains the misfit nearly as well as another.
 
     With few points the tests of two go together, and the worse one need not be the wrong one.
 

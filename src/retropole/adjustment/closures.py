@@ -1,10 +1,10 @@
 """Around loops: the poses that the pairs give by themselves must compose to the identity.
 
-Each pair is solved alone, from its own poles and its own scene, about the joint answer. Around a
-loop the small steps by which the pairs differ from it add up to the misclosure. Pairs that share a
-LiDAR share its returns and its errors: what they have in common is counted once. Scenes count by
-the scatter of their places where that is more than what their patches' noise leaves, as in the
-tests of observations: residuals at one place are correlated, within a pair and from pair to pair.
+Each pair is solved alone, from its poles and its scene only, about the joint answer. Around a loop
+the small steps by which the pairs differ from it add up to the misclosure. Pairs that share a LiDAR
+share its returns and its errors: the common part is included once. A scene is weighted by the
+scatter of its places, if that exceeds the effect of the noise of its patches, as in the tests of
+observations: residuals at one place are correlated, within a pair and from pair to pair.
 """
 
 from __future__ import annotations

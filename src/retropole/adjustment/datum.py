@@ -30,9 +30,9 @@ from .survey import Fit, align_to_survey, list_unmet, pole_at, transformed
 
 SIDE = "side on which poles were surveyed"
 """An error that all ends surveyed on surfaces share, 1 σ radius / √2 in each direction: whoever
-measures them from one place, or always holds the rod to one side, is off by the radius. Each end
-has another, 1 σ radius: √2 more than if each were on a side by chance, as both ends of a pole may
-be on one. So none of these habits makes a stated error too small."""
+measures them from one place, or always puts the rod on the same side, is off by the radius. Each
+end has another, 1 σ radius: √2 more than if each were on a side by chance, as both ends of a pole
+may be on one. So none of these habits makes a stated error too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def prior_poses(
 def check_poles_left(
     site: Site, dependent: Sequence[Dependent], poles: Sequence[SharedPole]
 ) -> None:
-    """Refuse if the pole that a link depends on is gone: surroundings alone are no calibration.
+    """Refuse if the pole that a link depends on is gone: surroundings alone are not a calibration.
 
     Raises
     ------
@@ -203,10 +203,10 @@ class Datum:
     poles
         The shared poles in that frame, those that were surveyed marked.
     surveyed
-        What is known of them.
+        What the survey gives for them.
     free
         (6 L,) which parameters of the poses are estimated.
-    words
+    text
         What fixes the frame.
     unmet
         What was surveyed and matches nothing that the LiDARs see.
@@ -219,7 +219,7 @@ class Datum:
     poles: list[SharedPole]
     surveyed: Surveyed
     free: BoolArray
-    words: str
+    text: str
     unmet: tuple[Reason, ...] = ()
     dependent: tuple[Dependent, ...] = ()
 
@@ -238,7 +238,7 @@ def find_datum(
     site
         With what was surveyed.
     origins
-        (L, 3) where the beams of each LiDAR start in its own frame.
+        (L, 3) where the beams of each LiDAR start in its frame.
     poses, poles
         In the frame of the first of the linked LiDARs.
     dependent
@@ -247,8 +247,8 @@ def find_datum(
     Raises
     ------
     Refusal
-        ``survey_unmatched`` where nothing surveyed fits what the LiDARs see, ``survey_ambiguous``
-        where it fits in several ways, ``survey_contradicts`` where parts of it do in different
+        ``survey_unmatched`` if no surveyed point fits the recordings, ``survey_ambiguous`` if the
+        survey fits in several ways, ``survey_contradicts`` if parts of the survey fit in different
         ways.
     """
     count = len(site.lidars)
@@ -272,9 +272,9 @@ def find_datum(
         )
         surveyed = replace(surveyed, poses=prior_poses(off, moved))
         what = " and ".join(_counts(surveyed))
-        words = f"{site.frame.name}, by {what}"
+        text = f"{site.frame.name}, by {what}"
         unmet = tuple(list_unmet(site, origins, poses, poles, fit))
-        return Datum(moved, marked, surveyed, free.reshape(-1), words, unmet, off)
+        return Datum(moved, marked, surveyed, free.reshape(-1), text, unmet, off)
     reference = site.reference if site.reference in poses else next(iter(poses))
     name = site.lidars[reference].name
     kept = [pole for pole in poles if len(pole.seen) > 1]
@@ -283,13 +283,13 @@ def find_datum(
         T = se3.from_rt(level, np.zeros(3)) @ se3.inverse(_unturned(poses[reference]))
         # Turning about the vertical and shifts are nobody's to say: they are the reference's.
         free[reference] = [True, True, False, False, False, False]
-        words = f"origin and heading of {name}, vertical by {counted(len(up), 'inertial sensor')}"
+        text = f"origin and heading of {name}, vertical by {counted(len(up), 'inertial sensor')}"
     else:
         T = se3.inverse(poses[reference])
-        # Where its beams start in its own frame is where they start in the site's.
+        # Where its beams start in its frame is where they start in the site's.
         T = se3.from_rt(np.eye(3), origins[reference]) @ T
         free[reference] = False
-        words = of_lidar(name)
+        text = of_lidar(name)
     moved = {i: T @ pose for i, pose in poses.items()}
     off = tuple(orient_links(dependent, reference, frozenset(moved)))
     return Datum(
@@ -297,7 +297,7 @@ def find_datum(
         [transformed(pole, T) for pole in kept],
         Surveyed(up=up, poses=prior_poses(off, moved)),
         free.reshape(-1),
-        words,
+        text,
         dependent=off,
     )
 
@@ -382,7 +382,7 @@ def _counts(surveyed: Surveyed) -> Iterator[str]:
 
 
 def without_poles(datum: Datum, gone: set[int]) -> Datum:
-    """Leave out some poles, with what was surveyed of them."""
+    """Leave out some poles, and their surveyed ends."""
     kept = [k for k in range(len(datum.poles)) if k not in gone]
     ends = tuple(
         replace(end, axis=kept.index(end.axis))

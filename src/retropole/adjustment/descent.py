@@ -48,7 +48,7 @@ FEW = 4
 
 @dataclass(frozen=True, eq=False)
 class ScenePair:
-    """Patches of two LiDARs, made ready to be paired; `few` has a part of them."""
+    """Patches of two LiDARs, made ready to be paired; `few` has some of these patches."""
 
     lidars: tuple[int, int]
     sets: PatchSets
@@ -65,7 +65,7 @@ def scene_pairs(patches: Sequence[Patches | None], lidars: Sequence[int]) -> lis
     Parameters
     ----------
     patches
-        Of each LiDAR, in its own frame; None if it recorded nothing.
+        Of each LiDAR, in its frame; None if it recorded nothing.
     lidars
         Which of them are compared.
     """
@@ -163,7 +163,7 @@ def scene_term(
 
 STEP = 0.04
 """Stop where no step is above this part of the 1 σ that independent residuals would leave. Steps
-fall to a half or a third each, so that as much is left at most, and the last is gone whole: of 13
+fall to a half or a third each, so that no more than that is left, and the last is gone whole: of 13
 scenes poses moved by up to 0.022 σ from where steps of 5e-8 rad and m end."""
 
 MAX_STRIDE = 4.0
@@ -184,9 +184,8 @@ that independent residuals leave: a tenth of `INFORMATION_SHARE`. Stopped before
 (benchmarks/same_answers.py, number 10) ended 4 σ from where it came to rest."""
 
 CLOSE = 0.02
-"""Patches at this distance have half weight where answers are compared, metres: twice what the
-range offset of a LiDAR is assumed to be where it is not known, and a tenth of the error that a
-moved pole makes of a pose."""
+"""Patches at this distance have half weight where answers are compared, metres: twice the range
+offset assumed for an unknown LiDAR, and a tenth of the error of a pose by a moved pole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +274,7 @@ def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = 
     searched = _solve(problem, start, (), problem.known).search
     near = approach(problem.without_rings(), start, searched)
     end = converge(problem, near, searched, few=few)
-    # A scene with little in it needs all of it.
+    # A scene with few patches needs all patches.
     return converge(problem, near, searched) if few and not end.scene else end
 
 
@@ -293,7 +292,7 @@ def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
     near = _descend(problem, [each.few for each in problem.scenes], begin, covariance, FEW_STEP)
     if near.scene or not problem.scenes:
         return near
-    # A scene with little in it needs all of it.
+    # A scene with few patches needs all patches.
     return _descend(problem, [each.sets for each in problem.scenes], begin, covariance, FEW_STEP)
 
 

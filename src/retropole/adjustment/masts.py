@@ -48,7 +48,8 @@ class CommonMotion:
     odds
         Logarithm of how much more probable it is than a motion of each.
     from_rest
-        For each, (6,) turn and shift between where it rests by its own motion and by this one.
+        For each, (6,) turn and shift between where it rests by the motion estimated for it alone
+        and by this one.
     """
 
     odds: float
@@ -119,7 +120,7 @@ def as_one(rows: Sequence[Row], poses: Sequence[Array]) -> Sequence[Row]:
     Returns
     -------
     sequence
-        The same where no placement shows that they do, or where they are there.
+        The same if no placement shows that they sway as one, or if all are at that rest already.
     """
     moving = [[scan for scan in row if scan is not None and _is_swaying(scan)] for row in rows]
     found = [common_motion(row, poses) if len(row) == len(poses) else None for row in moving]

@@ -2,13 +2,13 @@
 
 The poles give a quadratic form of the pose and of the errors of both LiDARs (`alignment.network`);
 the scene adds the distances between surface patches that both LiDARs see, which the same errors
-move (`descent`). Where the search may end at several poses it starts from several; where poles and
-scene disagree, what is stated covers both.
+move (`descent`). Where the search may end at several poses it starts from several; if poles and
+scene disagree, the stated uncertainty covers both.
 
 One place may decide a direction of the pose alone. A robust loss bounds how far one residual pulls,
-not how much a far surface, seen by few beams, holds of a rotation: it then fits by itself, and its
-residual is no check. So the answer is sought again without each such place, with weights and
-partners anew, and what is stated covers both. Since a map was made cars may have driven off and
+not how much a far surface, seen by few beams, contributes to a rotation: it then fits by itself,
+and its residual is not a check. So the answer is sought again without each such place, with weights
+and partners anew, and what is stated covers both. Since a map was made cars may have driven off and
 others parked almost there: whatever may have is one place, however large. What the surfaces leave
 open in a map, the registration gives, as far as it does without each part of the surroundings
 (`hypotheses.in_map`).
@@ -80,7 +80,7 @@ class Decisive:
     Attributes
     ----------
     share
-        Part of all information along that direction that it holds.
+        Part of all information along that direction that it contributes.
     at
         (3,) its middle in the target's frame, metres.
     apart
@@ -93,7 +93,7 @@ class Decisive:
 
 
 def leverage(places: Places) -> Array:
-    """Largest share (C,) of the information along any direction that each place holds.
+    """Largest share (C,) of the information along any direction that each place contributes.
 
     The largest eigenvalue of ``S^-½ S_c S^-½``: whatever the frame and the units.
     """
@@ -149,7 +149,7 @@ def distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
 def approaches_from_afar(
     problem: RefinementProblem, near: End, poles: PoseEstimate, lever: float
 ) -> list[End]:
-    """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
+    """Approach from the ends of the poles' uncertainty, and keep the results at other poses.
 
     Where the uncertainty exceeds the distance of corresponding surfaces, the end of the search
     may depend on its start. The ends are `SIGMAS` to either side.
@@ -175,7 +175,7 @@ def approaches_from_afar(
 def approaches_of_parts(
     problem: RefinementProblem, T: Array, known: Sequence[End], covariance: Array
 ) -> list[End]:
-    """Approach with the parts of the patches not yet asked, and keep what comes out elsewhere.
+    """Approach with the parts of the patches not used yet; keep the results at other poses.
 
     Few patches may hold a direction, the ground between two façades: a part of them leads past a
     minimum that the others are caught in, where other starts do not.
@@ -221,7 +221,7 @@ DISTORTION = "distortion of the map"
 UNSURE = 0.01
 """Part of their information that poles keep when the scene is used nearly alone: ten times their
 1 σ. Of 48 recordings between which a pole was moved by 15 cm three were answered, 11 cm and more
-off, two of them with a χ² below 17; asked so, the scene conflicts with the poles."""
+off, two of them with a χ² below 17; with a larger limit, the scene conflicts with the poles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,17 +237,17 @@ class Refinement:
     patches
         How many pairs of patches took part.
     mahalanobis_sq
-        Squared Mahalanobis distance of the pose from the poles' own: χ² with 6 degrees of freedom
-        where the stated uncertainties are right.
+        Squared Mahalanobis distance of the pose from that of the poles: χ² with 6 degrees of
+        freedom where the stated uncertainties are right.
     from_poles
-        The same step as rotation, rad, and translation, metres at the source's own origin.
+        The same step as rotation, rad, and translation, metres at the source's origin.
     other_minima
-        Steps (6,) to where the search ended from other starts within the poles' uncertainty, where
-        that is another pose; empty mostly.
+        Steps (6,) to the ends of the search from other starts within the poles' uncertainty, if
+        they are other poses; empty mostly.
     converged, iterations
         Whether the last step was below its tolerance, and how many were taken.
     surfaces
-        Patches of the target and the source, each in its own frame.
+        Patches of the target and the source, each in the frame of its LiDAR.
     corrected
         The same without the errors that were found of the LiDARs.
     end, parts
@@ -297,11 +297,11 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
 
 MOVED = 1.5
 """Root mean square of a place's residuals, in what the pose and they may be off by, from which it
-is taken for another surface: a car that parked elsewhere, or the back of a trunk."""
+is taken for another surface: a car parked at another place, or the back of a trunk."""
 
 
 def without_moved(sets: PatchSets, T: Array, covariance: Array) -> PatchSets:
-    """Leave out of a map what does not lie where it did, each place as a whole.
+    """Leave out the parts of a map that have moved, each place as a whole.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def refine(
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     poles
         Pose and covariance of the poles.
     factor
@@ -386,16 +386,16 @@ def refine_pair(
     start: Array | None = None,
     in_map: InMap | None = None,
 ) -> Refinement | None:
-    """Search the pose that poles and scene agree on from several starts, and say how certain it is.
+    """Search the pose that poles and scene agree on from several starts, with its uncertainty.
 
     Parameters
     ----------
     problem
-        Of two LiDARs, the first one's pose held.
+        Of two LiDARs, the first one's pose is fixed.
     poles
         The poles' pose of the second and its covariance.
     patches
-        Of both, each in its own frame.
+        Of both, each in the frame of its LiDAR.
     lever
         Half of the second's points lie beyond this range, metres.
     start
@@ -427,11 +427,11 @@ def refine_pair(
         best = max(ends, key=support_of)
         mahalanobis_sq = _disagreement(problem, best, poles, within=True)
     highest = best
-    # In a map both are of the same surfaces: the wider search meets the backs of thin ones.
+    # In a map both are of the same surfaces: the wider search finds the backs of thin ones.
     disagree = mahalanobis_sq > DISAGREE and in_map is None
     if disagree:
-        # One of both is wrong by more than it states (Birge 1932): the poles count for as much
-        # less.
+        # One of both is wrong by more than it states (Birge 1932): the poles are weighted
+        # down by as much.
         share = POSE / mahalanobis_sq
         problem = replace(problem, factor=problem.factor.weakened(share))
         best = _converged_anew(problem, best, covariance / share) or best
@@ -508,10 +508,10 @@ class InMap:
 def _of_registration(
     problem: RefinementProblem, best: End, T: Array, scatter: Scatter
 ) -> PoleFactor | None:
-    """Add what a registration (4, 4) shows along the directions that the surfaces leave open.
+    """Add what a registration (4, 4) shows along the directions that the surfaces do not determine.
 
-    Along all others it is of the same surfaces. None if nothing is open, or the registration does
-    not determine it either.
+    Along all others it is of the same surfaces. None if there is no such direction, or the
+    registration does not determine it either.
     """
     unit = SURROUNDINGS_SIGMA
     own = uncertainty_of_pair(parts_of(problem, best)).covariance / np.outer(unit, unit)
@@ -528,7 +528,7 @@ def _of_registration(
 
 
 def _converged(problem: RefinementProblem, starts: Sequence[End], covariance: Array) -> list[End]:
-    """Settle each, and leave out what comes to nothing."""
+    """Let each converge, and leave out those that fail."""
     ends = [converge(problem, each, covariance) for each in starts]
     return [each for each in ends if each.scene]
 
@@ -538,10 +538,10 @@ def _disagreement(
 ) -> float:
     """Squared distance of the poses of poles and scene, in units of the σ that the poles state.
 
-    Poles that state a small σ for a wrong pose hold the search where the true surfaces are out of
-    reach:
-    the scene is used again with the poles hardly counted, as far as they may then be off. Used
-    also `within` what the search left, its other minima are no denial where they have less support.
+    If poles state a small σ for a wrong pose, the search does not reach the true surfaces: the
+    scene is used again with poles of hardly any weight, and a search as wide as they may then be
+    off. If also used `within` what the search left, other minima with less support do not
+    contradict.
     """
     assert poles.covariance is not None
     T = poles.T_target_source
@@ -552,12 +552,12 @@ def _disagreement(
     far = max((each for each in found if each.scene), key=support_of, default=None)
     if far is None:
         return apart
-    # What the scene alone does not hold is no denial.
+    # Directions that the scene alone does not constrain contradict nothing.
     return max(apart, distance_sq(poles.covariance + far.search[POSE:, POSE:], T, far.T[1]))
 
 
 def _converged_anew(problem: RefinementProblem, best: End, covariance: Array) -> End | None:
-    """Settle under poles that count for less, with as wide a search and without.
+    """Converge with poles of lower weight, with as wide a search and without.
 
     A wider search may leave a good minimum for one with less support.
     """
@@ -567,7 +567,7 @@ def _converged_anew(problem: RefinementProblem, best: End, covariance: Array) ->
 
 
 def _scale_wanted(end: End, problem: RefinementProblem) -> tuple[float, float] | None:
-    """What the data alone say of the scale between the LiDARs' ranges: without its prior.
+    """The estimate from the data alone of the scale between the LiDARs' ranges: without its prior.
 
     ``b`` is normal with the variance ``v`` and has had the prior precision ``p`` about 0: without,
     its information is ``1/v − p``. Mean of freeing the target's and the source's.

@@ -15,10 +15,10 @@ from ..base.description import Site
 from ..hypotheses.scans import SiteScans
 
 SAME_DISTANCE, SAME_ANGLE = 0.5, np.radians(10.0)
-"""Two poles are one where their middles lie so near each other's line, metres, and their directions
-differ by no more, rad. Poses that poles of one placement give are off by up to `AGREE_DISTANCE`,
-poles are 1.2 m or more from each other (simulation.scenes); a pole that was bumped is still the
-same."""
+"""Two poles are one if their middles lie within this distance of each other's line, metres, and
+their directions differ by no more, rad. Poses that poles of one placement give are off by up to
+`AGREE_DISTANCE`, poles are 1.2 m or more from each other (simulation.scenes); a pole that was
+bumped is still the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class SharedPole:
     point, direction
         (3,) the axis in the frame of the site, roughly.
     extent
-        (2, 3) the ends of what all LiDARs saw of it, on that axis.
+        (2, 3) the ends of the part that any LiDAR saw, on that axis.
     surveyed
         Index in `Site.poles`; None if it was not surveyed.
     """
@@ -136,7 +136,7 @@ def extent_of(point: Array, direction: Array, xyz: Array) -> Array:
 
 
 def _behind(pole: Pole, radius: float) -> Array:
-    """From a line through returns, on average in front of it, to the axis, metres."""
+    """From a line through returns, on average in front of the axis, to the axis, metres."""
     away = pole.point - (pole.point @ pole.direction) * pole.direction
     return np.asarray(np.pi / 4 * radius * away / max(float(np.linalg.norm(away)), 1e-9))
 

@@ -50,9 +50,9 @@ POLES_AND_SURVEY = f"{POLES} and of the survey"
 """What the budget calls their scatter."""
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
-"""At most this much further do a LiDAR's returns lie from the common axes than from its own, beyond
-a least bound in metres: of few returns separate axes take up much of the noise, ten lie √(10/6)
-= 1.3 times nearer. More is no noise, but a pole that moved."""
+"""At most this much further do a LiDAR's returns lie from the common axes than from its separate
+axes, beyond a least bound in metres: of few returns separate axes take up much of the noise, ten
+lie √(10/6) = 1.3 times nearer. More is not noise, but a pole that moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     recorded
         What was recorded.
     datum
-        Poses to start from, shared poles and what is known of them.
+        Poses to start from, shared poles and the surveyed values.
     few
         Whether to adjust by a part of the surfaces alone, which is faster, and to test nothing.
 
@@ -223,7 +223,7 @@ def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> Non
     Raises
     ------
     Refusal
-        ``survey_too_weak`` where all are free together, ``degenerate_poles`` where one is.
+        ``survey_too_weak`` if all are free together, ``degenerate_poles`` if one is.
     """
     variance = np.diag(covariance).reshape(-1, POSE)
     turned = np.sqrt(variance[:, :3].max(axis=1))
@@ -232,7 +232,7 @@ def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> Non
     if not len(free):
         return
     worst = int(free[np.argmax(moved[free])])
-    words = f"{np.degrees(turned[worst]):.1f}° and {moved[worst]:.2f} m (1 σ)"
+    freedom = f"{np.degrees(turned[worst]):.1f}° and {moved[worst]:.2f} m (1 σ)"
     values = {
         "rotation_sigma_rad": float(turned[worst]),
         "translation_sigma_m": float(moved[worst]),
@@ -240,14 +240,14 @@ def check_determined(site: Site, covariance: Array, *, is_surveyed: bool) -> Non
     if is_surveyed and len(free) == len(site.lidars):
         raise Refusal(
             "survey_too_weak",
-            f"the survey leaves the site free by {words}: survey both ends of a second pole, or "
+            f"the survey leaves the site free by {freedom}: survey both ends of a second pole, or "
             "more control points",
             values,
         )
     name = site.lidars[worst].name
     raise Refusal(
         "degenerate_poles",
-        f"the poles leave {name} free by {words}; add a pole or a placement that it sees with "
+        f"the poles leave {name} free by {freedom}; add a pole or a placement that it sees with "
         "others",
         {"lidar": name, **values},
     )
@@ -363,8 +363,8 @@ def adjusted_of_two(
         end, parts = refined.end, refined.parts
         bands = [np.unique(each.bands) for each in refined.surfaces]
         joint = replace(joint, network=joint.network.with_bands(bands))
-    words = of_lidar(site.lidars[0].name)
-    datum = Datum({0: np.eye(4), 1: T}, poles, NOTHING_SURVEYED, OF_SOURCE, words)
+    text = of_lidar(site.lidars[0].name)
+    datum = Datum({0: np.eye(4), 1: T}, poles, NOTHING_SURVEYED, OF_SOURCE, text)
     return tested(site, datum, joint, end, parts, few=False)
 
 

@@ -7,7 +7,7 @@ error that the test finds.
 
 Several observations may also have one bias in common. Last come returns next to their pole, of a
 LiDAR that sees it clearly at another position. A return far from the axis is treated as an outlier,
-and pulls no more: the quadratic form of such returns says that nothing is wrong. What a separate
+and pulls no more: the quadratic form of such returns shows no error. What a separate
 axis would gain them is found in full.
 """
 
@@ -243,7 +243,7 @@ NONCENTRALITY = 17.07
 
 POOR = 5.0
 """Normalised residual (w) above which an observation fits poorly, if its χ² is above
-`MAX_AXES_CHI2` for each degree of freedom, the limit of a pair's poles: with many of them, small
+`MAX_AXES_CHI2` for each degree of freedom, the limit of a pair's poles: if there are many, small
 errors that are not modelled add up. `blunders.BLUNDER` cites what set it."""
 
 
@@ -265,7 +265,7 @@ def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outco
     at
         The answer.
     errors
-        Each that is tested, with metres for each of its lengths, where it is counted in σ.
+        Each that is tested, with metres for each of its lengths, if its unit is σ.
     """
     if not errors:
         return
@@ -291,7 +291,7 @@ def outcomes(at: Solved, errors: Sequence[tuple[Bias, float]]) -> Iterator[Outco
 
 
 def _outcome(at: Solved, error: Bias, unit: float, taken_up: Array, more: Array) -> Outcome:
-    """Test a bias that the unknowns take up (Z, M), of a slope with more than its own spread."""
+    """Test a bias that the unknowns take up (Z, M), of a slope beyond the spread of the bias."""
     left = error.own - error.cross.T @ taken_up
     spread = left + more
     # Of what no observation checks only rounding is left: none of it is a test.
@@ -331,7 +331,7 @@ def _at_range(step: Array, at: Solved) -> float:
 def all_tests(
     at: Solved, site: Site, poles: Sequence[SharedPole], astray: Mapping[tuple[int, int], float]
 ) -> Iterator[Test]:
-    """Test every observation: poles, each LiDAR's view of them, placements, LiDARs, the survey.
+    """Test every observation: poles, each LiDAR's view of a pole, placements, LiDARs, the survey.
 
     Parameters
     ----------
@@ -432,5 +432,5 @@ def _of_pole(
     if moved is not None and parts:
         some = [views[i] for i in likeliest_part(at, moved, parts)]
         seen_by = ", ".join(names[one.lidar] for one in some if one.lidar is not None)
-        separated, words = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
-        yield _Tested("pole", None, placement, pole, words, separated, among=len(parts))
+        separated, observation = pole_displaced_for(at, some, pole), f"{name} as {seen_by} see it"
+        yield _Tested("pole", None, placement, pole, observation, separated, among=len(parts))

@@ -210,7 +210,7 @@ class Solved:
         (Z, Z) what of all information is the scene's.
     scene
         (Z, R) steps of all unknowns that the scatter of the surfaces makes, and that they are not
-        flat, each of 1 σ: a wall's patches are no independent observations, and that information
+        flat, each of 1 σ: a wall's patches are not independent observations, and that information
         promises too much where they alone decide.
     """
 

@@ -24,12 +24,12 @@ from ..surfaces.visibility import OVERLAP_DISTANCE
 from .shared import SharedPole
 
 END_MARGIN = 0.3
-"""Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
-a wrong end of the tape, and the poles' pose along the pole."""
+"""Returns on a pole of which one end was surveyed lie on one side of that end, or at most this far
+beyond, metres: a wrong end of the tape, and the poles' pose along the pole."""
 
 ROUGH = 0.1
 """Poses may be off by as much before they are adjusted, metres: a survey that fits so well is laid
-no better, and one that fits worse is no separate frame."""
+no better, and one that fits worse is not a separate frame."""
 
 SAMPLES = 5
 """Points on a surveyed pole that represent returns when it is matched."""
@@ -43,7 +43,7 @@ MOST_TRIPLES = 60
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """An alignment of what the LiDARs see to the survey, and what of the survey it matches.
+    """An alignment of the recordings to the survey, and the surveyed points that it matches.
 
     Attributes
     ----------
@@ -236,14 +236,14 @@ def axis_distance(end: Array, pole: SharedPole) -> float:
 
 
 def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
-    """Whether the returns on a pole lie between its surveyed ends, most of them, as far as known.
+    """Whether the returns on a pole lie between its surveyed ends, or mostly, as far as known.
 
     Not all: height is what rough poses know least, and something bright on a pole makes it longer.
     """
     if each.foot is None or each.top is None:
         (end,) = ends_of(each)
         along = (pole.extent - end) @ pole.direction
-        # All on one side of it.
+        # All on one side of the end.
         return bool(min(along.max(), -along.min()) < END_MARGIN)
     length = float(np.linalg.norm(each.top - each.foot))
     along = (pole.extent - each.foot) @ (each.top - each.foot) / length
@@ -270,8 +270,8 @@ SURVEY_UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimet
 """Units of coordinates other than metres, metres each."""
 
 MOST_RMS = 0.02
-"""Alignments of the survey to what is seen are distinguished where one fits twice as well, or so
-well as this, metres."""
+"""Alignments of the survey to the recordings are distinguished if one fits twice as well, or within
+this, metres."""
 
 
 def align_to_survey(
@@ -303,7 +303,7 @@ def align_to_survey(
     if rivals:
         raise Refusal(
             "survey_ambiguous",
-            f"what was surveyed fits what the LiDARs see in {1 + len(rivals)} ways, to "
+            f"the survey fits the recordings in {1 + len(rivals)} ways, to "
             f"{1000 * best.rms:.0f} and {1000 * rivals[0].rms:.0f} mm: survey another pole, both "
             "ends of each, or a control point",
             {"ways": 1 + len(rivals), "rms_m": best.rms, "rival_rms_m": rivals[0].rms},
@@ -312,7 +312,7 @@ def align_to_survey(
 
 
 def _check_frames(site: Site, best: Fit, other: Fit, poles: Sequence[SharedPole]) -> None:
-    """Refuse where what the best alignment does not match fixes another frame by itself."""
+    """Refuse if the points that the best alignment does not match fix another frame."""
     left = other.poles - best.poles, other.points - best.points
     if other.rms > ROUGH or not fixes_frame(site, *left):
         # Two lines fit others by chance, but hardly so well.
@@ -369,7 +369,7 @@ def _is_better(fit: Fit, plain: Fit, ends: int) -> bool:
     """Whether another way of writing the survey fits clearly better than the survey as it is."""
     if fit.ends == plain.ends:
         return plain.rms > 2.0 * max(fit.rms, MOST_RMS)
-    # All of it, or more than a pole or a point that is wrong by itself.
+    # The whole survey, or more than a pole or a point that is wrong by itself.
     meets_more = plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
     return meets_more and order(fit) < order(plain)
 
@@ -453,7 +453,7 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
         if p != each.placement and pole_at(structs.replace(each, placement=p), poles):
             return Reason(
                 "survey_unmet",
-                f"{each.name} is surveyed where a pole of placement {name} stands, not one of "
+                f"{each.name} is surveyed at a pole of placement {name}, not at one of "
                 f"{where}, and was left out: which placement does it belong to?",
                 {**values, "other": name},
             )
@@ -461,12 +461,12 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
     near = "the LiDARs see no pole there"
     if gaps:
         values["gap_m"] = min(gaps)
-        near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} beside it"
+        near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} away"
     if gaps and min(gaps) < OVERLAP_DISTANCE:
         near = "what the LiDARs see there reaches beyond its surveyed ends"
     return Reason(
         "survey_unmet",
-        f"no pole of placement {where} stands where {each.name} was surveyed ({near}), and it was "
+        f"placement {where} has no pole where {each.name} was surveyed ({near}), and it was "
         "left out: check its coordinates and placement, or whether anything hides it",
         values,
     )

@@ -37,7 +37,7 @@ def check_places(site: Site, views: Views) -> None:
     ------
     Refusal
         ``recordings_exchanged`` where two LiDARs' recordings of a placement show each other's
-        place, ``lidar_moved`` elsewhere.
+        place, ``lidar_moved`` otherwise.
     """
     names = [lidar.name for lidar in site.lidars]
     displaced = {i: away for i in range(len(names)) if (away := elsewhere(views.every[i]))}
@@ -73,7 +73,7 @@ def _moved_refusal(name: str, placements: Sequence[str], away: dict[int, Moved |
     return Refusal(
         "lidar_moved",
         f"{name} moved between its recordings, by {turned:.1f}° and {error(most.translation)} "
-        f"(placement {which}): they show one place from where it stood before and after; give it "
+        f"(placement {which}): they show one place from two positions; give it "
         "another name after the move",
         values | {"turned_deg": turned, "moved_m": most.translation},
     )

@@ -76,8 +76,8 @@ class ReturnsRadius:
     def sigmas_below(self, radius: float, sigma: float) -> float:
         """By how many σ the returns indicate a thinner pole than a given one with its 1 σ.
 
-        A thicker one is no contradiction: tape blooms, and beams next to a pole return as if they
-        had hit it.
+        A thicker one is not a contradiction: tape blooms, and beams next to a pole return as if
+        they had hit it.
         """
         return max(radius - self.value, 0.0) / float(np.hypot(self.sigma, sigma))
 
@@ -284,7 +284,7 @@ def align_beams(
     T_start
         (4, 4) the chosen hypothesis, target from source.
     radius, radius_sigma
-        Of the poles as given, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it. If the
+        Of the poles as given, and its 1 σ, metres: at least the fraction `RADIUS_TOLERANCE`. If the
         returns conflict with it, they alone are used.
     sizes, left
         Of the systematic errors of both LiDARs, and of their sway; see `ErrorModel`.

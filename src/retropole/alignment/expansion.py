@@ -1,10 +1,10 @@
 """The likelihood of a LiDAR's returns on poles to second order: by pose, its errors, and axes.
 
 An axis is averaged over the uncertainty that the beams of one LiDAR leave. Where few returns lie
-on a pole, or beams are wide compared with it, the likelihood of its axis is no parabola but a box
-with blurred walls: a return says that its beam hit the pole, and hardly where. The curvature at the
-maximum is that of the wall which happens to be near. Of all normal distributions ``N(d, Σ)`` of the
-axis, the one closest to the posterior has
+on a pole, or beams are wide compared with it, the likelihood of its axis is not a parabola but a
+box with blurred walls: a return shows that its beam hit the pole, but hardly where. The curvature
+at the maximum is that of the wall which happens to be near. Of all normal distributions ``N(d, Σ)``
+of the axis, the one closest to the posterior has
 
     E[∇ log L] = 0,    Σ⁻¹ = −E[∇² log L],
 
@@ -44,19 +44,19 @@ WIDEST = 0.1
 """Largest uncertainty of an axis, 1 σ: metres, and of its lean, rad."""
 
 FARTHEST = 2.0
-"""Most that a view lies away from the state, in units of its own 1 σ: that of few returns may else
-lose some of them as outliers, and wander off (tests/adjustment/test_blunders.py: a pole that
+"""Most that a view lies away from the state, in units of the view's 1 σ: that of few returns may
+else lose some of them as outliers, and wander off (tests/adjustment/test_blunders.py: a pole that
 was pushed by 0.4 m said nothing any more)."""
 
 BLEND, MAX_ROUNDS, CONVERGED = 0.5, 30, 0.1
 """Part of the way that each round goes, rounds at most (some views go to and fro), and the change,
-in units of 1 σ and of the information, at which the distribution is its own average. Stated σ are
+in units of 1 σ and of the information, at which the distribution equals its average. Stated σ are
 then within 3 % of those of the limit in all but one of 24 simulated pairs, with a quarter of the
 rounds."""
 
 NODES_BY_UNCERTAINTY = {1: 0.02, 3: 0.5, 4: 0.8}
 """Nodes that suffice where no axis is uncertain by more than this many times the noise sideways:
-over so little the likelihood is all but a parabola, and n nodes are exact to the power 2
+over such a short range the likelihood is all but a parabola, and n nodes are exact to the power 2
 n − 1. An exact view has no uncertainty."""
 
 _HERMITE = {n: np.polynomial.hermite_e.hermegauss(n) for n in (*NODES_BY_UNCERTAINTY, FEW_NODES)}
@@ -96,7 +96,7 @@ class Average:
     log
         (N,) the average itself.
     score, information
-        (N, C) and (N, C, C) by depth, lateral offset and radius, or by the last two of them.
+        (N, C) and (N, C, C) by depth, lateral offset and radius, or by the last two alone.
     inlier, noise
         (N,) and (N, 2) as in `ArcLikelihood`; empty for beams that passed.
     """
@@ -199,7 +199,7 @@ def find_view(
     lidar
         0 for the target, 1 for the source.
     beams
-        Its own.
+        Of this view.
     noise
         (2,) there, in depth and sideways, metres.
     rounds
@@ -257,7 +257,7 @@ def _noise(noise: Array, on: Average) -> Array:
 
 
 def _by_axis(jacobian: Array, own: IntArray) -> Array:
-    """Columns (N, C, 4) of each beam's own axis."""
+    """Columns (N, C, 4) of the axis that each beam belongs to."""
     index = SHARED + 4 * own[:, None] + np.arange(4)
     return np.take_along_axis(jacobian, index[:, None, :], axis=2)
 

@@ -17,7 +17,7 @@ is penalised smoothly in σ_m. A beam that went on to something behind the pole 
 
     P(passed) = 1 − Φ((r + w − m)/σ_m) + Φ((−r − w − m)/σ_m).
 
-The factor 1/2(r+w) says that all beams of which anything is known hit the pole: a wider one must
+The factor 1/2(r+w) states that all beams of which anything is known hit the pole: a wider one must
 then share them out further. Where the beams next to the pole are recorded as well, it is known
 where beams went, and each counts by its outcome: p(g, m) without that factor, or P(passed). With
 both, the pole would be found too slim, by the more of its 1 σ the more returns there are.
@@ -104,7 +104,7 @@ def closest_approach(
     -------
     ClosestApproach
         Derivatives take the direction as free; a caller that keeps it of unit length projects.
-        A beam along the axis has ``sine`` 0 and nothing else of it is finite.
+        A beam along the axis has ``sine`` 0 and no other value is finite.
     """
     d, n = np.broadcast_arrays(directions, axis)
     w = np.broadcast_to(origin - point, d.shape)

@@ -1,8 +1,8 @@
 """Up to the maximum of the posterior of shared cylinders, from lines fitted to the returns.
 
-The posterior may be of two LiDARs or more. Each LiDAR's beams say of the poles what `posterior`
-has; survey and inertial sensors add information about axes and poses. Of a pair the target's pose
-is fixed: its frame is that of the poles.
+The posterior may be of two LiDARs or more. Each LiDAR's beams constrain the poles as `posterior`
+states; survey and inertial sensors add information about axes and poses. Of a pair the target's
+pose is fixed: its frame is that of the poles.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ MIN_INLIER_SHARE = 0.5
 
 POLE_STEP = POLE_GAIN = 0.01
 """Step, in units of the 1 σ of each parameter were all others known, at which the geometry has
-converged: the next is a twentieth of it, and the expansion about the end takes it too. And gain of
-the logarithm of the posterior below which the noise is kept, and the geometry alone goes on."""
+converged: the next is a twentieth as large, and the expansion about the end takes it too. And gain
+of the logarithm of the posterior below which the noise is kept, and the geometry alone goes on."""
 
 NOISE_DAMPING = DAMPING
-"""Least damping with the noise: at the bounds of the noise its own steps make the cost rise, and
-from less it takes many to damp them."""
+"""Least damping with the noise: at the bounds of the noise, steps of the noise make the cost rise,
+and from less it takes many to damp them."""
 
 
 def maximise(
@@ -172,8 +172,8 @@ def start_noise(state: State, lidar: int, beams: Beams) -> float:
 
 
 START_ROTATION, START_TRANSLATION = 0.3, 1.0
-"""1 σ about the poses that the search starts from, rad and m: wide enough to add no information
-where the poles do, and the search has a way where the poles of a LiDAR leave it free."""
+"""1 σ about the poses that the search starts from, rad and m: wide enough to add no information in
+directions that the poles determine, and to keep the problem solvable in those that they do not."""
 
 
 @dataclass(frozen=True, eq=False)

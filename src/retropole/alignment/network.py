@@ -14,7 +14,7 @@ the poles show
     −log L(x, b) = ½ zᵀ Λ z − ηᵀ z,    z = [x, b],
 
 with x the steps of all poses and b the errors of `systematic`; the axes of the poles are
-eliminated (Schur complement). The prior of b is no part of it, so that the scene can share b. Of a
+eliminated (Schur complement). The prior of b is not included, so that the scene can share b. Of a
 pair the target's pose is the identity and fixed: it is the frame.
 """
 
@@ -184,7 +184,7 @@ class Observation:
     poles
         (K,) the axes that are among the unknowns, in their order; the last entries of `place`.
     returns
-        How many returns lie on them.
+        Number of returns on the poles.
     share
         (K,) what part of those that were found on each that is.
     depth

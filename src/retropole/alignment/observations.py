@@ -39,7 +39,7 @@ known better."""
 
 @dataclass(frozen=True, eq=False)
 class Beams:
-    """Beams of one LiDAR at the poles, in its own frame.
+    """Beams of one LiDAR at the poles, in its frame.
 
     Attributes
     ----------

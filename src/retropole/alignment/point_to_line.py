@@ -5,7 +5,7 @@ the target LiDAR and points from the source LiDAR. It is fast and needs no model
 every hypothesis is solved with it, all of them at once.
 
 Its limit is a bias, not noise: returns lie on the side of a pole that faces the sensor, on average
-π r/4 in front of its axis, and each LiDAR errs towards itself. `adjustment` is free of it.
+π r/4 in front of its axis, and each LiDAR errs towards itself. `adjustment` has no such bias.
 """
 
 from __future__ import annotations

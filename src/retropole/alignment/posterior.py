@@ -163,7 +163,8 @@ def beam_geometry(
 ) -> BeamGeometry:
     """Depth and lateral offset of beams at their axis, and the Jacobian over a step of `State`.
 
-    The radius is no part of either; `ranges` may be anything where only the lateral offset matters.
+    The radius is not included in either; `ranges` may be anything where only the lateral offset
+    matters.
 
     Parameters
     ----------

@@ -19,8 +19,8 @@ from scipy.linalg import lapack
 from ..base.datatypes import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 60
-"""Steps at most. From lines on lines most starts need 5 to 15, the beam model 5 to 30; what has not
-converged by then oscillates."""
+"""Largest number of steps. From lines on lines most starts need 5 to 15, the beam model 5 to 30;
+what has not converged by then oscillates."""
 
 DAMPING = 1e-3
 """Damping at the start, as a part of the curvature of each parameter: starts are near a minimum."""
@@ -129,7 +129,7 @@ def levenberg_marquardt(
     slack
         A cost may rise by this part of itself: rounding.
     max_iterations
-        Steps at most.
+        Largest number of steps.
     """
     now = start
     for iteration in range(1, max_iterations + 1):
@@ -188,7 +188,7 @@ def levenberg_marquardt_each(
     tolerance
         A problem ends where its step, in the units of the parameters, is shorter.
     max_iterations
-        Steps at most, for each.
+        Largest number of steps, for each.
     """
     points, left = starts.copy(), np.arange(len(starts))
     models = Quadratics(*(each.copy() for each in model_at(points, left)))

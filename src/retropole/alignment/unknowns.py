@@ -113,7 +113,7 @@ class Unknowns:
         return np.asarray(np.r_[np.arange(self.poses), *errors, other.radius])
 
     def of_layout(self, layout: Layout, lidars: tuple[int | None, int]) -> IntArray:
-        """Indices of the errors of a pair's layout; −1 where the target is no LiDAR (None)."""
+        """Indices of the errors of a pair's layout; −1 if the target is not a LiDAR (None)."""
         place = np.full(layout.size, -1)
         for side, lidar in enumerate(lidars):
             if lidar is None:

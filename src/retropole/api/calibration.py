@@ -86,7 +86,8 @@ def calibrate(
         Exact number of poles that both LiDARs see; 0 finds the pose from the surroundings alone.
     need, at
         How accurate the answer must be: no point up to `at` away, 30 m where it is None, lands
-        further than `need` from its true place, metres. The verdict says whether that is 95 % sure.
+        further than `need` from its true place, metres. The verdict says whether its probability is
+        95 %.
     up
         Both LiDARs are roughly upright: hypotheses that contradict it are left out.
     options

@@ -76,7 +76,7 @@ def calibrate_walk(
     Returns
     -------
     ResultDoc, tuple of Placement
-        The document, and what both LiDARs recorded, without what moved.
+        The document, and the recordings of both LiDARs without moving objects.
 
     Raises
     ------

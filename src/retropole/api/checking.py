@@ -75,7 +75,7 @@ def read_stored(
     Raises
     ------
     Refusal
-        If it was refused, and ``no_covariance`` where the file does not say how certain it is.
+        If it was refused, and ``no_covariance`` if the file does not state its uncertainty.
     ReadError
         If it cannot be read, or has no pose, or several, of these LiDARs.
     """
@@ -308,8 +308,8 @@ def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> 
     topics = known.target_topic, known.source_topic
     if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
-    words = f"RESULT's target is the topic {topics[0]}, and its source {topics[1]}"
-    return swap(words, {"told_by": "topics"})
+    stated = f"RESULT's target is the topic {topics[0]}, and its source {topics[1]}"
+    return swap(stated, {"told_by": "topics"})
 
 
 def topic_for(path: Path, given: str | None, known: str | None) -> str | None:
@@ -334,8 +334,8 @@ class SiteCheck:
     Attributes
     ----------
     status
-        ``same`` where pairs that are the same join all LiDARs, ``moved`` where a pair moved,
-        ``cannot_tell`` otherwise.
+        ``same`` if unchanged pairs join all LiDARs, ``moved`` if a pair moved, ``cannot_tell``
+        otherwise.
     reasons
         Why nothing was checked; empty if pairs were.
     pairs
@@ -475,7 +475,7 @@ def _exchanged(document: SiteDoc, file: SiteFile, site: Path) -> Reason | None:
                 return Reason(
                     "swapped",
                     f"{place}, given for {lidar.name}, is the file that the result has for "
-                    f"{owner}; give each LiDAR its own file",
+                    f"{owner}; give each LiDAR a different file",
                     {"told_by": "hashes", "given_for": lidar.name, "of": owner},
                 )
     return None

@@ -1,7 +1,7 @@
 """What a user may choose from, without loading what works with it: a command lists it in its help.
 
 Methods that `evaluate` runs, what a watch listens to, and the movements that a check must not miss
-where nothing else is requested.
+by default.
 """
 
 from ..checking.methods import ALL_METHODS as ALL_METHODS

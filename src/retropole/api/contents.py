@@ -82,11 +82,11 @@ def _cloud(read: ReadRecording, named: str | None) -> CloudDoc:
     cloud = with_beam_origin(with_trusted_rings(given))
     rate = _rate(read.headers[0], read.headers[-1])
     odd = oddity_of(cloud)
-    words, units = ("", ()) if odd is None else (odd.words, odd.units)
+    oddity, units = ("", ()) if odd is None else (odd.text, odd.units)
     shown = None if odd is not None and odd.is_map else unit_of_one(cloud, DEFAULT_RADIUS)
     if shown is not None:
         units = (shown[0],)
-        words = _in_unit(*shown, words or _beyond(cloud))
+        oddity = _in_unit(*shown, oddity or _beyond(cloud))
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     return document_of(
         CloudDoc,
@@ -108,7 +108,7 @@ def _cloud(read: ReadRecording, named: str | None) -> CloudDoc:
         if cloud.intensity is None
         else _intensity(cloud.intensity, intensities_of(given.fields), named),
         sensors=[cloud.model] if cloud.model else guess_sensors(cloud),
-        odd_coordinates=words,
+        odd_coordinates=oddity,
         units=list(units),
         clock_offset_s=clock_offset(read.headers),
     )

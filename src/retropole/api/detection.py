@@ -35,8 +35,8 @@ def detect(
     sensor
         Name of the sensor, or ``auto``.
     threshold
-        Intensity from which a return is treated as retro-reflective; None asks the sensor, or else
-        the cloud.
+        Intensity from which a return is treated as retro-reflective; None takes that of the sensor,
+        or else of the cloud.
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points

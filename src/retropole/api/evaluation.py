@@ -51,7 +51,7 @@ def evaluate(
     ----------
     target, source
         A path that `io.read_cloud` reads, an array, (N, 3) or (N, 4), or a `PointCloud`; each in
-        its own sensor's frame.
+        the frame of its sensor.
     T_target_source
         (4, 4) maps source points into the target's frame; or a result; or a file of any format
         that ``retropole export`` writes, or the folder of a result. The poles of a result are
@@ -71,8 +71,8 @@ def evaluate(
         For a matrix that is not a rigid transform, for arrays of another shape, and where the
         files are those of the result swapped, or the seed is no number from 0 up.
     Refusal
-        ``too_few_points`` where a cloud is too small, ``far_from_lidar`` where a coordinate is
-        none, and where the transform is that of a refused result.
+        ``too_few_points`` if a cloud is too small, ``far_from_lidar`` if a coordinate is not one of
+        a LiDAR, or if the transform is that of a refused result.
     ReadError, MissingExtraError
         If a file cannot be read.
     """

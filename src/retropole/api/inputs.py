@@ -159,8 +159,8 @@ def read_input(
     Raises
     ------
     UsageError
-        For an unknown sensor or unit, for an array of another shape, for anything else than these
-        three, and where a topic, frames or an intensity are named of what is no file.
+        For an unknown sensor or unit, for an array of another shape, for any other type than these
+        three, or if a topic, frames or an intensity are named for an input that is not a file.
     ReadError, MissingExtraError
         As `io.read_cloud`.
     """

@@ -46,7 +46,7 @@ MERGED = "/retropole/points"
 """Topic on which clouds are published."""
 
 LATE = 0.15
-"""A sweep is waited for so long, s: one and a half turns at 10 Hz."""
+"""Longest wait for a sweep, s: one and a half turns at 10 Hz."""
 
 STOPPED = 1.0
 """Seconds without a sweep after which a LiDAR is no longer waited for: ten turns."""
@@ -62,7 +62,8 @@ CHECK_SWEEPS, CHECK_SECONDS, FIRST_CHECK = 3, 60.0, 5.0
 """Sweeps of each LiDAR that are checked against the result, how often, and when first, s."""
 
 LONGEST_CHECK = 300.0
-"""A check that takes longer has lost its process, s: one of ten LiDARs takes a tenth of it."""
+"""A check that takes longer has lost its process, s: with ten LiDARs it takes a tenth of this
+time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ class Checked(NamedTuple):
     """Outcome of a check against the result: which LiDARs moved, and why, in words."""
 
     moved: tuple[str, ...]
-    words: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class Pace:
     sweeps: Mapping[str, int]
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """In one line."""
         if not self.ages:
             return f"no cloud in {self.seconds:.0f} s"
@@ -187,7 +188,7 @@ class _Reader(Thread):
                 self._arrival.notify()
 
     def _made(self, frame: Frame, came: float) -> float:
-        """Give the time of a sweep by this computer's clock, from which its own may differ much."""
+        """Give the time of a sweep by this computer's clock, not by that of the LiDAR."""
         stamp = frame.stamp if frame.clock is None else frame.clock
         if stamp is None:
             return came
@@ -204,7 +205,7 @@ class _Reader(Thread):
         return time.time() - self.last_came < STOPPED
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """State why nothing arrives, or what is odd about its clock; empty if nothing is."""
         if not self.does_record:
             why = self._fault or self.lidar.source.waits_for
@@ -231,8 +232,8 @@ class LiveMerge:
     crop
         (2, 3) corners of a box in the frame of all; what is outside is left out.
     check
-        Given some sweeps of each LiDAR that records, says which moved. It is called in a process of
-        its own, so that no cloud waits for it, and is pickled for that. None checks nothing.
+        Given some sweeps of each LiDAR that records, says which moved. It is called in a separate
+        process, so that no cloud waits for it, and is pickled for that. None checks nothing.
     every
         How often it is called, s.
 
@@ -262,7 +263,7 @@ class LiveMerge:
         self._start = self._since = time.time()
         self._due = self._start + min(every, FIRST_CHECK)
         self._about: dict[str, str] = {}
-        self._words: list[str] = []
+        self._messages: list[str] = []
         self._ages: list[float] = []
         self._sweeps = {lidar.name: 0 for lidar in lidars}
         for reader in self._readers:
@@ -311,11 +312,11 @@ class LiveMerge:
         """Note who stops, who comes again, and who moved."""
         now = time.time()
         for own in self._readers if now - self._start > 2 * STOPPED else ():
-            name, words = own.lidar.name, own.words
+            name, text = own.lidar.name, own.text
             # Without the numbers in it, which change all the time.
-            about = "".join(c for c in words if not c.isdigit())
+            about = "".join(c for c in text if not c.isdigit())
             if about != self._about.get(name, ""):
-                self._words.append(f"{name}: {words or 'its sweeps come'}")
+                self._messages.append(f"{name}: {text or 'its sweeps come'}")
                 self._about[name] = about
         if self._pool is None or self._check is None:
             return
@@ -327,18 +328,18 @@ class LiveMerge:
                 self._due = now
         elif self._work.ready() or now - self._due > LONGEST_CHECK:
             try:
-                self.moved, words = self._work.get(0.0)
+                self.moved, text = self._work.get(0.0)
             except (RetropoleError, OSError, TimeoutError) as error:
-                words = f"the check failed: {quoting(str(error)) or 'it did not finish'}"
+                text = f"the check failed: {quoting(str(error)) or 'it did not finish'}"
             self._work, self._due = None, now + self._every
-            if words != self._about.get("", ""):
-                self._words.append(words)
-                self._about[""] = words
+            if text != self._about.get("", ""):
+                self._messages.append(text)
+                self._about[""] = text
 
-    def new_words(self) -> list[str]:
+    def new_messages(self) -> list[str]:
         """Give the new messages since the last call; each once for as long as it applies."""
-        words, self._words = self._words, []
-        return words
+        messages, self._messages = self._messages, []
+        return messages
 
     def pace(self) -> Pace:
         """Report the rate of clouds since the last call."""

@@ -48,8 +48,8 @@ from .inputs import SILENT, Listener, recording_hash
 from .stored import find_recordings, loaded, with_poses, with_sensors_from
 
 SWEEPS_FOR_STATIC = 31
-"""Sweeps, spread over a recording, that say what a LiDAR usually sees: 16 MB of ranges. Something
-that stood in a direction for less than half of the time is in most of them not there."""
+"""Sweeps, spread over a recording, that show what a LiDAR usually sees: 16 MB of ranges. Something
+that was in a direction for less than half of the time is absent from most of them."""
 
 WRITE_BLOCK = 2**18
 """Points that are written at a time where they are in memory: 10 MB."""
@@ -198,8 +198,8 @@ def placed(
 
 def warnings_of(document: ResultDoc | SiteDoc) -> list[str]:
     """Write the verdict of the calibration into a file."""
-    words = [f"warning ({each.code}): {each.message}" for each in document.reasons]
-    return [verdict_line(document.status, document.reasons), *words]
+    lines = [f"warning ({each.code}): {each.message}" for each in document.reasons]
+    return [verdict_line(document.status, document.reasons), *lines]
 
 
 def has_map(site: SiteDoc) -> bool:
@@ -271,13 +271,13 @@ def merge(
         raise UsageError(f"{out}: surfels are written as .ply")
     if surfels is not None and (voxel is not None or colour is not None):
         raise UsageError(
-            "surfels use all points and have their own colours: leave out voxels and colours"
+            "surfels use all points and have separate colours: leave out voxels and colours"
         )
     if surfels is None and out is None:
         raise UsageError("give a file to write, or surfels to compare the LiDARs")
     if suffix == ".mcap" and (voxel is not None or colour is not None):
         raise UsageError(
-            "MCAP holds the sweeps one by one, without colours: voxels and colours are for .ply, "
+            "MCAP stores the sweeps one by one, without colours: voxels and colours are for .ply, "
             ".pcd, .las and .laz"
         )
     site = with_sensors_from(as_site(document), file.parent)
@@ -334,7 +334,7 @@ def _opened(
     topics: Mapping[str, str],
     frames: Frames | None,
 ) -> tuple[list[Opened], list[str]]:
-    """Open the recordings of the run, or those given, and say what is to be known of them."""
+    """Open the recordings of the run, or those given, and give notes about them."""
     names, notes = [lidar.name for lidar in site.lidars], []
     if isinstance(document, ResultDoc) and not isinstance(given, Mapping) and len(given) == 2:
         given = dict(zip(names, given, strict=True))
@@ -468,7 +468,7 @@ class _Stream:
 
 
 def _about(
-    stream: _Stream, at: Placed, names: Sequence[str], words: Sequence[str], colour: str | None
+    stream: _Stream, at: Placed, names: Sequence[str], comments: Sequence[str], colour: str | None
 ) -> About:
     """Describe a file by the first sweep of each LiDAR."""
     clouds = [
@@ -492,7 +492,7 @@ def _about(
     return About(
         names=names,
         frame=at.name if at.epsg is None else f"{at.name} (EPSG:{at.epsg})",
-        comments=words,
+        comments=comments,
         has_intensity=bool(len(bright)),
         has_ring=any(cloud.ring is not None for cloud in clouds),
         has_time=bool(times),

@@ -55,7 +55,7 @@ def with_keywords(
     Raises
     ------
     UsageError, TypeError
-        As `checked_options`; for a keyword that is no option.
+        As `checked_options`; for a keyword that is not an option.
     """
     if not isinstance(options, RunConfig):
         raise UsageError(f"options is {options!r}, expected a RunConfig")
@@ -66,10 +66,10 @@ def with_keywords(
     if unknown := older.keys() - set(map(keyword, RunConfig.__struct_fields__)):
         raise TypeError(f"unexpected keyword argument: {', '.join(unknown)}")
     if older:
-        words = (
+        message = (
             f"{', '.join(older)}: give them through options, or as sensor, threshold, topic or unit"
         )
-        warnings.warn(words, DeprecationWarning, stacklevel=3)
+        warnings.warn(message, DeprecationWarning, stacklevel=3)
     return run_config({**given, **older}, options)
 
 
@@ -79,8 +79,8 @@ def checked_options(config: RunConfig) -> RunConfig:
     Returns
     -------
     RunConfig
-        The same, of Python's own types: the result document has no others. Files of sensors and
-        of angles have their whole paths.
+        The same, in Python's built-in types: the result document has no others. Files of sensors
+        and of angles have their whole paths.
 
     Raises
     ------
@@ -139,8 +139,8 @@ def _in_words(message: str, config: RunConfig) -> str:
     if "got" in what or not isinstance(kind, inspect.FloatType | inspect.IntType):
         return f"{given}, of the wrong type: {what[0].lower()}{what[1:]}"
     unit = " m" if field.endswith("_m") else ""
-    if field == "radius_m" and (words := radius_in_metres(float(config.radius_m))):
-        return f"{given}: {words}"
+    if field == "radius_m" and (fault := radius_in_metres(float(config.radius_m))):
+        return f"{given}: {fault}"
     if isinstance(kind, inspect.IntType):
         return f"{given}, expected a number from {kind.ge} to {kind.le}"
     if kind.ge is None:

@@ -34,7 +34,7 @@ def load_plan(path: Path, lidars: Sequence[str] = (), *, of_pair: bool = False) 
     Raises
     ------
     ReadError
-        If there is none, or it is no plan; names the file and the field.
+        If there is none, or it is not a plan; names the file and the field.
     UsageError
         If it is of other LiDARs.
     """
@@ -59,7 +59,7 @@ def against(plan: PolePlanDoc, poles: Sequence[PoleDoc], lidar: str | None = Non
     compared = against_plan(plan, poles, lidar)
     several = len(plan.placements) > 1
     where = f" in placement {compared.placement + 1}" if several else ""
-    lines = [f"as seen by {compared.lidar}{where}:", *(each.words for each in compared.deviations)]
+    lines = [f"as seen by {compared.lidar}{where}:", *(each.text for each in compared.deviations)]
     if compared.others:
         lines.append(f"{counted(compared.others, 'pole')} more than planned")
     return lines
@@ -81,7 +81,7 @@ def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
         for scan, station in zip(placement.scans, plan.lidars, strict=False):
             compared = against_plan(plan, pole_documents(scan.poles), station.name)
             where = f"placement {compared.placement + 1}, " if len(plan.placements) > 1 else ""
-            lines += [f"{where}{station.name}: {each.words}" for each in compared.deviations]
+            lines += [f"{where}{station.name}: {each.text}" for each in compared.deviations]
     if len(placements) != len(plan.placements):
         recorded = counted(len(placements), "placement")
         lines.append(f"{recorded} recorded, {len(plan.placements)} planned")
@@ -90,9 +90,11 @@ def cost_of(plan: PolePlanDoc, result: CalibrationResult) -> list[str]:
         at = plan.range_m
         stated, planned = predicted_error(covariance, (at,))[0].sigma_m, planned_error(plan)
         ratio = stated / planned
-        words = "as planned" if ratio < COSTLY else f"{ratio:.1f} times as much as planned"
+        ratio_text = "as planned" if ratio < COSTLY else f"{ratio:.1f} times as much as planned"
         by = " by its page, since poles were moved" if plan.moved is not None else ""
-        lines.append(f"error at {at:g} m: {error(stated)}, planned{by} {error(planned)}: {words}")
+        lines.append(
+            f"error at {at:g} m: {error(stated)}, planned{by} {error(planned)}: {ratio_text}"
+        )
     return lines
 
 

@@ -268,7 +268,7 @@ class CalibrationResult(Result[ResultDoc]):
             ("radius", radius_words(self.document)),
             ("scene", scene_words(self.document)),
         )
-        rows += [(name, words) for name, words in cells if words is not None]
+        rows += [(name, text) for name, text in cells if text is not None]
         return rows + super()._rows()
 
     def report(
@@ -517,7 +517,7 @@ def load_result(path: str | Path) -> CalibrationResult:
     Raises
     ------
     ReadError
-        If there is no such file, or it is no result document; names the file.
+        If there is no such file, or it is not a result document; names the file.
     """
     file = result_file(Path(path))
     return CalibrationResult(loaded(file, partial(decode_pair, file)), file)
@@ -534,7 +534,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     Raises
     ------
     ReadError
-        If there is no such file, or it is no result document of a site; names the file.
+        If there is no such file, or it is not a result document of a site; names the file.
     """
     file = Path(path)
     if file.is_dir():

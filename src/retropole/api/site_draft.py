@@ -22,7 +22,7 @@ SUFFIXES = frozenset((*READERS, *BAGS, *PACKETS)) - {".txt"}
 into the file by hand."""
 
 MOST_ENTRIES = 10_000
-"""Of one folder that is looked through: a site has a hundred LiDARs at most."""
+"""Of one folder that is looked through: a site has at most a hundred LiDARs."""
 
 NUMBERED = re.compile(r"(?:(?:p|pos|pl|place|placement|position|setup|station)[-_ ]?)?\d+", re.I)
 """What a placement is called: a number, or a word and a number."""
@@ -80,7 +80,7 @@ def draft_site(folder: Path, path: Path) -> Draft:
     ReadError
         If the folder cannot be read.
     UsageError
-        If its names do not say which recording is whose; says what was seen.
+        If its names do not show which recording is whose; the message lists what was seen.
     """
     recordings, others = _look_through(folder)
     lidars = _ordered({lidar for lidar, _ in recordings})
@@ -114,7 +114,7 @@ def _look_through(folder: Path) -> tuple[Recordings, tuple[str, ...]]:
     files, folders, others = _entries(folder)
     if files and folders:
         raise UsageError(
-            f"{folder}: holds recordings ({_quoted([f.name for f in files])}) and folders "
+            f"{folder}: has recordings ({_quoted([f.name for f in files])}) and folders "
             f"({_quoted([f.name for f in folders])}); expected one or the other"
         )
     if files:
@@ -131,7 +131,7 @@ def _look_through(folder: Path) -> tuple[Recordings, tuple[str, ...]]:
             others += (each.name,)
     if not inner:
         raise UsageError(
-            f"{folder}: holds no recordings; expected LIDAR/PLACEMENT.pcd, PLACEMENT/LIDAR.pcd or "
+            f"{folder}: has no recordings; expected LIDAR/PLACEMENT.pcd, PLACEMENT/LIDAR.pcd or "
             f"LIDAR_PLACEMENT.pcd, or another of {', '.join(sorted(SUFFIXES))}"
         )
     return _by_names(_nested(folder, inner)), others

@@ -40,11 +40,11 @@ SITE_FILE = "site.toml"
 """What a site file is called in its folder."""
 
 LARGEST_SITE_FILE = 2**18
-"""Bytes: a hundred LiDARs with twenty placements take half of it."""
+"""Bytes: a hundred LiDARs with twenty placements take half as many."""
 
 MOST_DOTS = 300
 """Dots on a line. The time that `tomllib` takes for a key grows with the square of its parts: 76 s
-for 65,000 of them, a second for a whole file of lines with 300."""
+for 65,000 dots, a second for a whole file of lines with 300."""
 
 MOST_LIDARS, MOST_PLACEMENTS, MOST_SURVEYED = 100, 100, 1000
 """Of one site."""
@@ -61,7 +61,8 @@ Place = Annotated[list[Coordinate], XYZ]
 Seen = Annotated[list[Annotated[float, Meta(ge=-FARTHEST_SEEN, le=FARTHEST_SEEN)]], XYZ]
 Upwards = Annotated[list[Annotated[float, Meta(ge=-1e3, le=1e3)]], XYZ]
 LEAST_SIGMA, LARGEST_SIGMA = 1e-4, 10.0
-"""1 σ of a coordinate, metres: no survey is surer than 0.1 mm, and none so poor helps."""
+"""1 σ of a coordinate, metres: no survey is more accurate than 0.1 mm, and a poorer one does not
+help."""
 
 Sigma = Annotated[float, Meta(ge=LEAST_SIGMA, le=LARGEST_SIGMA)]
 Sigmas = Annotated[list[Sigma], XYZ]
@@ -139,7 +140,7 @@ class SurveyedPoleTable(_Table, frozen=True, kw_only=True):
 
 
 class SeenTable(_Table, frozen=True, kw_only=True):
-    """Where a LiDAR sees a control point, in its own frame."""
+    """Where a LiDAR sees a control point, in the LiDAR's frame."""
 
     lidar: Name
     at_m: Seen
@@ -185,7 +186,7 @@ def read_site_file(path: Path) -> SiteFile:
     Raises
     ------
     ReadError
-        If it cannot be read or is no site file; names the file, the key and what was expected.
+        If it cannot be read or is not a site file; names the file, the key and what was expected.
     """
     with naming(path):
         with path.open("rb") as file:
@@ -209,7 +210,7 @@ def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
     try:
         raw = tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:
-        # Also of what is no UTF-8, and of integers that Python does not convert.
+        # Also of text that is not UTF-8, and of integers that Python does not convert.
         raise ReadError(f"is not TOML: {said(error)}") from None
     try:
         site = msgspec.convert(raw, SiteFile)

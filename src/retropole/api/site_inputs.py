@@ -45,8 +45,8 @@ from .site_file import (
 )
 
 OFFSET_STEP = 100.0
-"""The offset of large coordinates is a multiple of this, metres: a site that is surveyed about its
-own origin has none."""
+"""The offset of large coordinates is a multiple of this, metres: a site that is surveyed about an
+origin of its own has none."""
 
 LARGEST_SITE = 10_000.0
 """What is surveyed lies this near to its median, metres: a digit too many or left out, or east and
@@ -104,7 +104,7 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     Parameters
     ----------
     path
-        Of the site file, or of the folder that holds ``site.toml``; the paths in it count from its
+        Of the site file, or of the folder of ``site.toml``; the paths in it count from its
         folder.
     listener
         Told of each step as it starts, and of each cloud once it is read.
@@ -158,7 +158,7 @@ def with_survey(file: SiteFile, path: Path) -> SiteFile:
     Raises
     ------
     ReadError
-        As `io.survey.read_survey`, and if nothing says how accurate a point is.
+        As `io.survey.read_survey`, and if the accuracy of a point is not stated.
     """
     if file.survey is None:
         return file
@@ -209,7 +209,7 @@ def read_of(
 ) -> Input:
     """Read what a LiDAR of a site file recorded in a placement, by their indices.
 
-    `known` is of older recordings, by the names of LiDARs: what the file does not say.
+    `known` is of older recordings, by the names of LiDARs: what the file does not state.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def check_site(site: Site) -> None:
     Raises
     ------
     UsageError
-        Naming what is wrong and what is expected.
+        If an input is wrong; names the fault and the expected value.
     """
     names = [lidar.name for lidar in site.lidars]
     if len(names) < 2 or len(set(names)) < len(names):
@@ -407,7 +407,7 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
 
 
 def repeated(read: SiteInputs, documents: Sequence[RecordingDoc]) -> Refusal | None:
-    """Refuse a recording that stands for two LiDARs or placements; None if none does."""
+    """Refuse a recording that is given for two LiDARs or placements; None if none does."""
     inputs, site = list(read.inputs.values()), read.site
     names = [f"{site.lidars[k].name} in placement {site.placements[n]}" for k, n in read.inputs]
     return refuse_repeated(

@@ -89,7 +89,7 @@ class Recording(NamedTuple):
 
 def scans_of(
     document: ResultDoc | SiteDoc,
-    beside: Path,
+    relative_to: Path,
     given: Sequence[Path] = (),
     progress: Callable[[str], None] = lambda step: None,
 ) -> StoredScans:
@@ -100,7 +100,7 @@ def scans_of(
 
     Parameters
     ----------
-    document, beside, given
+    document, relative_to, given
         As `find_recordings` takes them.
     progress
         Called with the number of the recording that is read, and the number of all.
@@ -114,7 +114,7 @@ def scans_of(
     """
     site, is_site = as_site(document), isinstance(document, SiteDoc)
     rows: list[list[Scan | None]] = [[None] * len(site.placements) for _ in site.lidars]
-    recordings = find_recordings(document, beside, given)
+    recordings = find_recordings(document, relative_to, given)
     for k, (item, path, _) in enumerate(recordings, 1):
         progress(step_of("read", k, len(recordings)))
         if path is not None:
@@ -132,7 +132,7 @@ def scans_of(
 
 
 def find_recordings(
-    document: ResultDoc | SiteDoc, beside: Path, given: Sequence[Path] = ()
+    document: ResultDoc | SiteDoc, relative_to: Path, given: Sequence[Path] = ()
 ) -> list[Recording]:
     """Use the given recordings, or search for those of a result, as its run read them.
 
@@ -140,7 +140,7 @@ def find_recordings(
     ----------
     document
         The result document.
-    beside
+    relative_to
         Folder of the result: recordings are looked for by their path from there and from here, and
         by their name there; of several that are found, the one of the run is used.
     given
@@ -172,14 +172,14 @@ def find_recordings(
         raise UsageError(
             f"{known[sha256]}: is no recording of this result: none has the SHA-256 {sha256[:12]}…"
         )
-    site = with_sensors_from(as_site(document), beside)
+    site = with_sensors_from(as_site(document), relative_to)
     for k, item in enumerate(site.inputs):
         if is_site and not (site.found and site.found[item.lidar][item.placement]):
             # The run could not use it, and its page does not show it.
             continue
         try:
             there = known.get(item.sha256) if is_site or not given else given[k]
-            path = there or find_recording(item, beside)
+            path = there or find_recording(item, relative_to)
             fault = difference(item, path, hash_of(path))
             found.append(Recording(item, None if is_site and fault else path, fault))
         except ReadError as error:
@@ -189,12 +189,12 @@ def find_recordings(
     return found
 
 
-def find_recording(item: InputDoc, beside: Path) -> Path:
+def find_recording(item: InputDoc, relative_to: Path) -> Path:
     """Look for one recording of a result; see `find_recordings`."""
     if item.path in ("", ARRAY_SOURCE):
         raise ReadError("a cloud of the run was an array, not a file")
     path = Path(item.path)
-    names = dict.fromkeys([beside / path, path, beside / path.name])
+    names = dict.fromkeys([relative_to / path, path, relative_to / path.name])
     places = [path_of_text(str(name)) for name in names]
     there = [place for place in places if place.exists()]
     if there:
@@ -265,7 +265,7 @@ def loaded(file: Path, decode: Callable[[bytes], Loaded]) -> Loaded:
     Raises
     ------
     ReadError
-        If there is no such file, or it is none; names the file.
+        If there is no such file, or it is of another kind; names the file.
     """
     with readable(file):
         data = read_document(file)
@@ -372,7 +372,7 @@ def agreeing(scan: Scan, listed: Sequence[PoleDoc]) -> Scan:
     return scan if same else replace(scan, detection=None)
 
 
-def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
+def named_from(document: AnyDoc, folder: Path, relative_to: Path) -> AnyDoc:
     """Name the files of a document by their paths from the folder that it is written to.
 
     Parameters
@@ -381,7 +381,7 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
         Of a pair or of a site.
     folder
         Its future folder.
-    beside
+    relative_to
         Folder to which its paths are relative now; else the working folder.
 
     Returns
@@ -391,7 +391,7 @@ def named_from(document: AnyDoc, folder: Path, beside: Path) -> AnyDoc:
     """
 
     def name(text: str) -> str:
-        return _name(text, folder, beside)
+        return _name(text, folder, relative_to)
 
     return renamed(document, name, name)
 
@@ -431,9 +431,9 @@ def with_sensors_from(document: AnyDoc, folder: Path) -> AnyDoc:
     return renamed(document, str, lambda text: str((folder / text).resolve()))
 
 
-def _name(text: str, folder: Path, beside: Path) -> str:
+def _name(text: str, folder: Path, relative_to: Path) -> str:
     given = path_of_text(text) if text else None
-    place = next((p for p in (given and beside / given, given) if p and p.exists()), None)
+    place = next((p for p in (given and relative_to / given, given) if p and p.exists()), None)
     if place is None:
         return text
     # Links to folders are followed, as the system does when it goes up from one; a link to the

@@ -155,7 +155,7 @@ class Watch:
             Watched(source, View(name, sensor=sensor_or_auto(how.sensor)), how.threshold)
             for source, name, how in zip(sources, wish.names, read, strict=True)
         ]
-        self._words: deque[str] = deque(maxlen=40)
+        self._messages: deque[str] = deque(maxlen=40)
         self._capture: Capture | None = None
         self._kept: Capture | None = None
         # Placements that are complete, but could not be written yet.
@@ -275,8 +275,8 @@ class Watch:
         """Read the newest sweep of a LiDAR; keep it while sweeps are kept."""
         radius, busy = self._wish.config.radius_m, self._work is not None
         received = take(self._lidars[k], radius, self._clock, busy=busy)
-        for words in received.messages:
-            self._note(f"{self._wish.names[k]}: {words}")
+        for message in received.messages:
+            self._note(f"{self._wish.names[k]}: {message}")
         if received.is_of_another_frame:
             self._capture = None
         elif received.frame is not None and self._capture is not None:
@@ -305,7 +305,7 @@ class Watch:
                 return Advice("ended", "The recordings have ended before anything was kept.")
         elif not advice.is_good:
             if capture is not None:
-                self._note(f"not kept: {advice.words}")
+                self._note(f"not kept: {advice.text}")
             self._capture = None
             return advice
         elif capture is None:
@@ -335,7 +335,7 @@ class Watch:
         for view in views:
             poles = pole_documents([each.pole for each in present(view.tracks, now)])
             compared = against_plan(self._wish.plan, poles, view.name).deviations
-            wrong = next((each.words for each in compared if not each.is_as_planned), None)
+            wrong = next((each.text for each in compared if not each.is_as_planned), None)
             if wrong is not None:
                 return Advice("off_plan", f"{wrong[0].upper()}{wrong[1:]}.")
         return advice
@@ -345,7 +345,7 @@ class Watch:
         return with_options(self._wish.config, target_topic=target, source_topic=source)
 
     def _keep(self, capture: Capture, now: float) -> Advice:
-        """Write a placement, and calibrate by all of them, or check by this one.
+        """Write a placement, and calibrate by all placements, or check by this one.
 
         If it cannot be written it stays in memory, and is tried again.
         """
@@ -381,11 +381,11 @@ class Watch:
     def _wait_for_room(self, error: OSError, what: str, now: float) -> Advice:
         """Report what cannot be written, with advice; it is tried again later."""
         why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
-        words = f"{why}. Free disk space: {what} kept in memory, and written as soon as possible."
+        message = f"{why}. Free disk space: {what} kept in memory, and written as soon as possible."
         if self._no_room is None:
-            self._note(words)
+            self._note(message)
         # It is tried again 5 s later.
-        self._no_room = Advice("not_written", words), now + 5.0
+        self._no_room = Advice("not_written", message), now + 5.0
         return self._no_room[0]
 
     def _record(self, capture: Capture) -> tuple[Path, str]:
@@ -461,8 +461,8 @@ class Watch:
             for lidar in self._lidars:
                 lidar.kept = None
 
-    def _note(self, words: str) -> None:
-        self._words.append(f"{datetime.now():%H:%M:%S} {quoting(words)}")
+    def _note(self, message: str) -> None:
+        self._messages.append(f"{datetime.now():%H:%M:%S} {quoting(message)}")
 
     def _document_of(self, advice: Advice, now: float) -> WatchDoc:
         """Write the current view and advice as a document."""
@@ -474,7 +474,7 @@ class Watch:
             phase=self._phase(),
             is_good=advice.is_good,
             code=advice.code,
-            next=advice.words,
+            next=advice.text,
             seconds=now - self._start,
             lidars=[seen_now(each, now) for each in self._lidars],
             angle_rad=sum(known) / len(known) if known else None,
@@ -486,7 +486,7 @@ class Watch:
             bound_m=expected.bound if expected else None,
             probability=expected.probability if expected else None,
             status=status or None,
-            words=list(self._words),
+            words=list(self._messages),
         )
 
     def _phase(self) -> Phase:
@@ -530,9 +530,9 @@ def _is_still(path: Path, own: str) -> bool:
 
 def checked_words(checked: CheckResult) -> str:
     """Describe the result of a check."""
-    words = {"same": "Same: neither LiDAR has moved.", "moved": "Moved: calibrate again."}
+    texts = {"same": "Same: neither LiDAR has moved.", "moved": "Moved: calibrate again."}
     message = " ".join(reason.message for reason in checked.reasons[:1])
-    return words.get(checked.status, f"Undecided: {message}")
+    return texts.get(checked.status, f"Undecided: {message}")
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:

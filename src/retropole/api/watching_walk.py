@@ -1,8 +1,8 @@
 """`watch --carried`: one pole is carried in view of two LiDARs, and the walk is solved as it grows.
 
-Each sweep is searched once, and written as it arrives. Every few seconds the walk so far is solved
-in the background. Once that is good enough, the recording is closed and calibrated with the poles
-already found in its sweeps.
+Each sweep is searched once, and written as it arrives. Every few seconds the data received are
+solved in the background. Once that is good enough, the recording is closed and calibrated with the
+poles already found in its sweeps.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ NO_WAY = Advice(
 
 
 class Walked:
-    """The data of one LiDAR of a walk so far: its sweeps with times, searched once each.
+    """The data of one LiDAR of a walk: its sweeps until now with times, searched once each.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Walked:
 
 
 class Solution(NamedTuple):
-    """A walk so far: why it gives no answer, or the answer with the surroundings, and how to
+    """The walk until now: why it gives no answer, or the answer with the surroundings, and how to
     continue.
 
     At the range of the need, ``sigma`` is 1 σ and ``bound`` the error bound of all points, with
@@ -269,8 +269,8 @@ class WalkWatch(Watch):
         """Read the newest sweep of a LiDAR; write and search it once both LiDARs record."""
         lidar = self._lidars[k]
         frame, said, is_other = receive(lidar, self._clock)
-        for words in said:
-            self._note(f"{self._wish.names[k]}: {words}")
+        for message in said:
+            self._note(f"{self._wish.names[k]}: {message}")
         now = self._clock()
         if is_other:
             self._stop("its sweeps come from another sender")
@@ -287,11 +287,12 @@ class WalkWatch(Watch):
                 fault = str(refusal)
             except OSError as error:
                 why = quoting(f"{error.filename or self._out}: {error.strerror or error}")
-                words = (
-                    f"{why}. Free disk space: the walk so far is lost, and starts again afterwards."
+                message = (
+                    f"{why}. Free disk space: the data of this walk are lost, and it starts again "
+                    "afterwards."
                 )
-                self._stop(words)
-                self._no_room = Advice("not_written", words), now + 5.0
+                self._stop(message)
+                self._no_room = Advice("not_written", message), now + 5.0
         looked = Looked(now, frame.cloud)
         lidar.view = replace(lidar.view, looked=looked, silent="", fault=fault)
 
@@ -327,7 +328,7 @@ class WalkWatch(Watch):
         return path
 
     def _stop(self, why: str) -> None:
-        """Leave out the walk so far, and begin another."""
+        """Leave out the data of this walk, and begin another."""
         self._note(f"the walk is left out: {why}")
         with suppress(OSError, Dropped), self._stream:
             raise Dropped
@@ -353,7 +354,7 @@ class WalkWatch(Watch):
             return self._answer()
         advice = self._guide(now)
         if advice.code == "clock_jumps":
-            self._stop(advice.words)
+            self._stop(advice.text)
         return advice
 
     def _solve(self, now: float) -> None:
@@ -413,8 +414,8 @@ class WalkWatch(Watch):
             return advice
         for own, name in zip(self._walked, self._wish.names, strict=True):
             if own.search.sweeps and (own.last is None or now - own.last[0] > UNSEEN):
-                words = f"{name} sees no pole: carry it 3 to 8 m from {name}, in view of both."
-                return Advice("unseen", words)
+                message = f"{name} sees no pole: carry it 3 to 8 m from {name}, in view of both."
+                return Advice("unseen", message)
         solution = self._solution
         if solution is None:
             return NO_WAY
@@ -426,11 +427,11 @@ class WalkWatch(Watch):
             after = advice_after(solution.outcome, AGAIN)
             if after.code == "need_too_small":
                 return after
-            warned = "" if after.code == "need_not_met" else f" {after.words}"
+            warned = "" if after.code == "need_not_met" else f" {after.text}"
         step, at = solution.steps[0], (self._wish.config.need or USABLE).at
         falls = f"{error(solution.sigma)} now, {error(step.sigma)} after 5 s of this"
-        words = f"{step.words} 1 σ at {at:g} m: {falls}.{warned}"
-        return Advice(step.code, words, is_good=True)
+        text = f"{step.text} 1 σ at {at:g} m: {falls}.{warned}"
+        return Advice(step.code, text, is_good=True)
 
     def _document_of(self, advice: Advice, now: float) -> WatchDoc:
         said, found = super()._document_of(advice, now), self._solution

@@ -1,7 +1,7 @@
 """What numbers, texts and arrays of a document may be: one of another source is not trusted.
 
 No coordinate, angle or count of a recording comes near these bounds. Beyond them squares and
-products stop being numbers. `result.decoding` compares a document with all of them.
+products stop being numbers. `result.decoding` compares a document with all bounds.
 """
 
 from __future__ import annotations

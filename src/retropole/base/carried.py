@@ -20,7 +20,7 @@ class LidarWalk(msgspec.Struct, frozen=True, eq=False):
     clock_offset_s, clock_sigma_s, clock_drift, middle_s
         What makes its times those of the reference, as of `CarriedWalk`; 0 of the reference.
     sweeps, found, range_scale, edge_jitter_rad, clock_windows
-        Its own, as of `CarriedWalk`.
+        Of this LiDAR, as of `CarriedWalk`.
     """
 
     clock_offset_s: Number
@@ -80,8 +80,8 @@ class CarriedWalk(msgspec.Struct, frozen=True, eq=False):
     left_out
         Share of the returns, ring by ring, that have less weight than half.
     range_scale, edge_jitter_rad
-        Of the target and the source: by how much ranges scatter beyond what is stated for the
-        sensor, a factor, and what moves the edges of the pole.
+        Of the target and the source: the factor by which ranges scatter beyond the sensor's stated
+        noise, and the jitter of the pole's edges.
     clock_windows
         Of each window of 5 s: its middle, the offset relative to that of the walk and its 1 σ, s.
     up

@@ -13,7 +13,7 @@ UNSET = 86_400.0
 to another time zone, is nearer."""
 
 NO_DATE = 1e9
-"""Seconds, 32 years: older than any LiDAR, so that no date in its memory is so far away."""
+"""Seconds, 32 years: older than any LiDAR, so that no date in its memory is as far away."""
 
 NOTICED = 0.5
 """Tolerance, s, for clocks to differ, or to match a known difference: a message is recorded up to
@@ -31,47 +31,47 @@ ZONE = 900.0
 """Seconds: time zones differ by whole quarters of an hour."""
 
 
-def is_set(apart: float) -> bool:
+def is_set(ahead: float) -> bool:
     """Whether two clocks that differ by this, s, may both be set."""
-    return abs(apart) < UNSET
+    return abs(ahead) < UNSET
 
 
-def words_of(apart: float, other: str = "the recorder's") -> str:
+def words_of(ahead: float, other: str = "the recorder's") -> str:
     """Describe the offset of a LiDAR's clock to another, and which known difference that is.
 
     Parameters
     ----------
-    apart
+    ahead
         Seconds that it is ahead of the other.
     other
         What the other is called.
     """
-    if abs(apart) >= NO_DATE:
+    if abs(ahead) >= NO_DATE:
         return "is not set: it runs from its start, its times are not dates"
-    if not is_set(apart):
-        long = f"is {duration(abs(apart))} {_way(apart)} {other}"
+    if not is_set(ahead):
+        long = f"is {duration(abs(ahead))} {_way(ahead)} {other}"
         return f"{long}: it was never set, or its data were recorded again later"
-    if abs(apart) < NOTICED:
+    if abs(ahead) < NOTICED:
         return f"agrees with {other} within {NOTICED:g} s"
-    size = duration(abs(apart)) if _zones(apart) else f"{abs(apart):.1f} s"
-    return f"is {size} {_way(apart)} {other}, {_cause(apart)}"
+    size = duration(abs(ahead)) if _zones(ahead) else f"{abs(ahead):.1f} s"
+    return f"is {size} {_way(ahead)} {other}, {_cause(ahead)}"
 
 
-def _way(apart: float) -> str:
-    return "ahead of" if apart > 0 else "behind"
+def _way(ahead: float) -> str:
+    return "ahead of" if ahead > 0 else "behind"
 
 
-def _zones(apart: float) -> int:
+def _zones(ahead: float) -> int:
     """By how many quarters of an hour time zones differ as clocks do; 0 if no zones do."""
-    quarters = round(abs(apart) / ZONE)
-    return quarters if abs(abs(apart) - quarters * ZONE) < NOTICED else 0
+    quarters = round(abs(ahead) / ZONE)
+    return quarters if abs(abs(ahead) - quarters * ZONE) < NOTICED else 0
 
 
-def _cause(apart: float) -> str:
+def _cause(ahead: float) -> str:
     for seconds, scales in SCALES.items():
-        if abs(abs(apart) - seconds) < NOTICED:
-            one, other = scales if apart > 0 else scales[::-1]
-            return f"as {one} is {_way(apart)} {other}"
-    if _zones(apart):
+        if abs(abs(ahead) - seconds) < NOTICED:
+            one, other = scales if ahead > 0 else scales[::-1]
+            return f"as {one} is {_way(ahead)} {other}"
+    if _zones(ahead):
         return "as one time zone is from another"
     return "which is not a known difference of time scales"

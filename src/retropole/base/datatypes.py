@@ -1,6 +1,6 @@
 """Data passed between the steps: frozen data classes over arrays, in metres and radians.
 
-Every cloud, pole and ray is in the frame of its own LiDAR unless a name says otherwise.
+Every cloud, pole and ray is in the frame of its LiDAR unless a name says otherwise.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ PER_POINT = ("intensity", "ring", "time", "frame")
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points of one LiDAR in its own frame, or of a map.
+    """Points of one LiDAR in its frame, or of a map.
 
     Attributes
     ----------

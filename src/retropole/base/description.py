@@ -160,7 +160,7 @@ class Frame(msgspec.Struct, frozen=True, eq=False, rename={"offset": "offset_m"}
         Whether surveyed coordinates fix it; otherwise the reference LiDAR does.
     offset
         (3,) coordinates of the origin that computations count from, metres: what is surveyed lies
-        near it. A point of the site in the frame's own coordinates is its place plus this.
+        near it. A point of the site in the coordinates of the frame is its place plus this.
     epsg
         Code of a projected frame, or None.
     geodetic

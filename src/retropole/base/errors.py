@@ -90,12 +90,12 @@ class NewerError(ReadError):
 
     Parameters
     ----------
-    words
+    what
         The file and its schema.
     """
 
-    def __init__(self, words: str) -> None:
-        super().__init__(f"{words} is from a newer version of retropole; update this one")
+    def __init__(self, what: str) -> None:
+        super().__init__(f"{what} is from a newer version of retropole; update this one")
 
 
 def is_newer(schema: str, known: str) -> bool:
@@ -162,7 +162,7 @@ class Refusal(RetropoleError):
 
 @dataclass(frozen=True, eq=False)
 class Reason:
-    """A remark on an answer: a stable code, words with numbers, and the numbers."""
+    """A remark on an answer: a stable code, a message with numbers, and the numbers."""
 
     code: Code
     message: str
@@ -185,8 +185,8 @@ def warnings_and_notes(
 class LineError(ReadError):
     """An error in a line of a text, of which the number is known."""
 
-    def __init__(self, line: int, words: str) -> None:
-        super().__init__(f"line {line}: {words}")
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(f"line {line}: {message}")
 
 
 @contextmanager

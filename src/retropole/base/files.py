@@ -38,20 +38,20 @@ KINDS = {
     stat.S_ISCHR: "a device",
     stat.S_ISBLK: "a device",
 }
-"""What a path may be that is no file."""
+"""What a path may be other than a file."""
 
 unfinished: set[str] = set()
 """Files that are removed with the run: whoever ends the process at once removes them first."""
 
 older: dict[Path, Path] = {}
-"""Where the files of a run before are that were set aside, by their own names."""
+"""Where the files of a run before are that were set aside, by their original names."""
 
 leaving: list[Callable[[], None]] = []
 """What else comes first: of where other machines look, none sees that a process has ended."""
 
 
 def check_is_file(path: Path) -> None:
-    """Refuse what is no file: to open a pipe waits for whoever writes to it, a device never ends.
+    """Refuse a path that is not a file: opening a pipe waits for its writer, a device never ends.
 
     Raises
     ------
@@ -62,7 +62,9 @@ def check_is_file(path: Path) -> None:
     """
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode):
-        kind = next((words for is_it, words in KINDS.items() if is_it(mode)), "something else")
+        kind = next(
+            (kind_name for is_it, kind_name in KINDS.items() if is_it(mode)), "something else"
+        )
         raise ReadError(f"{path}: is {kind}, expected a file")
 
 
@@ -87,7 +89,7 @@ def write_atomically(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, and make its folder where there is none.
 
     Whoever reads ``path`` sees the old content or the new, also after an interrupt or a full disk.
-    A link is followed, the permissions of a file that is there are kept, and what is no file (a
+    A link is followed, the permissions of a file that is there are kept, and anything but a file (a
     device, a pipe) is written to as it is.
 
     Raises
@@ -146,7 +148,7 @@ def stream_atomically(path: Path) -> Iterator[BinaryIO]:
     Raises
     ------
     UsageError
-        If it is no file: neither a device nor a pipe goes back to its header.
+        If it is not a file: neither a device nor a pipe goes back to its header.
     OSError
         As `write_atomically`.
     """
@@ -233,7 +235,7 @@ def _set_aside_until_written(paths: Iterable[Path]) -> None:
 
 
 def _put_back(path: Path) -> bool:
-    """Give a file that was set aside its own name again; return whether there was one."""
+    """Give a file that was set aside its original name again; return whether there was one."""
     aside = older.pop(_key(path), None)
     if aside is None or not aside.is_file():
         return False
@@ -430,7 +432,7 @@ def path_in_text(path: str | Path) -> str:
 
 
 def path_of_text(text: str) -> Path:
-    """Undo `path_in_text`, where there is no path that is called so."""
+    """Undo `path_in_text`, if there is no such path."""
     path = Path(text)
     if path.exists() or "\\x" not in text:
         return path

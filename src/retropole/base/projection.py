@@ -64,11 +64,11 @@ class Grid:
         return self.scale * self.height_factor
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Describe the effect on a site, in one line."""
         off = 30.0 * (self.combined - 1)
         side = "east" if self.convergence >= 0 else "west"
-        words = (
+        text = (
             f"{self.name}: 30 m on the ground are {30.0 + off:.4f} m in the grid "
             f"({1000 * off:+.1f} mm, scale {self.scale:.7f}, for the height "
             f"{self.height_factor:.7f}), and grid north is "
@@ -77,13 +77,13 @@ class Grid:
         # What rounding makes of angles, rad: 0.3 mm at 30 m.
         if self.distortion > 1e-5:
             # Scales along and across differ by sin(distortion / 2) of their mean either way.
-            words += (
+            text += (
                 f"; it is not conformal: in some directions 30 m are {15e3 * self.distortion:.1f} "
                 f"mm more or less, and angles bend by up to {np.degrees(self.distortion):.3f} deg"
             )
         if not self.in_area:
-            words += "; it is not intended for this region: are the coordinates right?"
-        return words
+            text += "; it is not intended for this region: are the coordinates right?"
+        return text
 
 
 @lru_cache(maxsize=8)
@@ -200,7 +200,7 @@ def _in_area(system: Projected, at: Array, beyond: float) -> NDArray[np.bool_]:
 
 
 def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
-    """Refuse what lies far outside of where a system is used, or only swapped inside of it."""
+    """Refuse points far outside of the area of use of a system, or inside it only if swapped."""
     inside = _in_area(system, at, BEYOND_AREA)
     if inside.all() and not _in_area(system, at, 0.0).any():
         longitude, latitude = system.proj(

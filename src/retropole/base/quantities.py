@@ -143,7 +143,7 @@ def _scale(size: float, unit: Unit) -> tuple[float, str]:
 
 
 def _decimals(number: float) -> int:
-    """Digits after the point that leave two significant ones; negative in front of it."""
+    """Digits after the point that leave two significant ones; negative if they are in front."""
     if number == 0:
         return 0
     return 1 - int(f"{number:.1e}".partition("e")[2])

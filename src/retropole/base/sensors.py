@@ -161,8 +161,8 @@ SWEEP_SECONDS = 0.1
 """Time of one sweep: LiDARs run at 10 Hz by default."""
 
 DENSE = float(np.radians(0.3))
-"""Of beams spread evenly, rad: as many to a solid angle as 32 rings 1° apart have within 0.1°, or
-0.5° apart every 0.2°."""
+"""Of beams spread evenly, rad: as many to a solid angle as 32 rings at a spacing of 1° have within
+0.1°, or at 0.5° every 0.2°."""
 
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
@@ -236,7 +236,7 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("elevations_deg and rosette_deg must be within 90° of the horizon")
         first, last = self.azimuth_deg
         if not (-360.0 <= first < last <= 360.0 and last - first <= 360.0):
-            raise ValueError("azimuth_deg is the first and the last azimuth, at most a turn apart")
+            raise ValueError("azimuth_deg is the first and the last azimuth, over at most one turn")
         if self.round and not self.rosette_deg:
             raise ValueError("round is the field of a rosette")
         if not all(abs(rise) <= 45.0 for rise in self.rise_deg) or (
@@ -318,7 +318,7 @@ def find_sensor(name: str) -> Sensor:
             return sensor
     raise UsageError(
         f"no sensor is named {name!r}; there are {', '.join(SENSORS)}, auto for any other, or "
-        f"a {SENSOR_FILE} file with your own description"
+        f"a {SENSOR_FILE} file with your description"
     )
 
 

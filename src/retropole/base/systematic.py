@@ -131,7 +131,7 @@ coincide exactly. Chosen, by the 24 answers of benchmarks/mapped.py, seeds 0 to 
 were outside of the 95 % region."""
 
 MAP_LEVER = 30.0
-"""The surfaces that determine a pose in a map are this far apart, m: a map that is distorted by its
+"""Distance between the surfaces that determine a pose in a map, m: a map that is distorted by its
 1 σ over this distance is rotated by the quotient."""
 
 
@@ -391,7 +391,7 @@ class Sway(msgspec.Struct, frozen=True, eq=False, rename={"frequency": "frequenc
         return max(ENOUGH / self.frequency - self.seconds, 0.0)
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Its size, how well the position at rest is known, and how long to record."""
         angle = f"± {math.degrees(self.angle_rad):.2g}°"
         if self.frequency is None:

@@ -1,6 +1,6 @@
 """From the frame of a site to the world: projected coordinates, latitude and longitude, headings.
 
-An adjustment counts in metres on the ground; the coordinates of a projected system do not. At the
+An adjustment uses metres on the ground; the coordinates of a projected system do not. At the
 central meridian of a UTM zone 30 m on the ground are 29.988 m in the grid, and everywhere else in
 the zone its north is not true north. So a survey in a projected system is taken to an
 east-north-up frame that touches the earth in the middle of it (`in_metres`), the adjustment runs
@@ -14,7 +14,7 @@ What the coordinates of a site are follows from its `Frame`:
 None             None            those of the frame; where that is on the earth is not known
 None             given           east, north, up on WGS 84 at that origin
 a code           given           east, north, up at that origin, on the ellipsoid of the code's
-                                 datum; the frame's own coordinates are projected
+                                 datum; the coordinates of the frame are projected
 a code           None            projected coordinates themselves
 ===============  ==============  ===================================================================
 
@@ -90,7 +90,7 @@ def tangent_frame(epsg: int, coordinates: Array) -> Frame:
     Raises
     ------
     MissingExtraError, UsageError
-        As `projected`; and where the points are outside of where the system is used.
+        As `projected`; or if the points are outside of the area of use of the system.
     """
     system = projected(epsg)
     middle = np.asarray(coordinates, dtype=float).mean(axis=0, keepdims=True)

@@ -1,8 +1,8 @@
 """What to do next with a carried pole: the continuation that lowers the predicted error most.
 
 Each candidate is a few seconds of walking and leaning from where the pole is now. The rows that it
-would give (`rows`) are linearised as those that were recorded (`linear`), its unknown motion is
-eliminated, and what is left is added to what the walk says so far of pose, clocks and errors.
+would give (`rows`) are linearised as the recorded ones (`linear`), and its unknown motion is
+eliminated; the information left is added to that of the walk about pose, clocks and errors.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LEAN, SWING, LIFT = float(np.tan(np.radians(20.0))), 2.5, 0.4
 """Slope of a pole that is leaned, time of a swing to and fro, s, and how far it is raised, m."""
 
 NEAREST = 1.5
-"""Nearer to a LiDAR a pole is not counted as seen, metres."""
+"""Nearer to a LiDAR a pole is treated as not seen, metres."""
 
 HEIGHTS = 24
 """Places along the pole between which a ring's height on it is interpolated."""
@@ -39,15 +39,15 @@ class Continuation(NamedTuple):
     """A way to go on: what it is called, what is done, and 1 σ at a range after it, metres."""
 
     code: str
-    words: str
+    text: str
     sigma: float
 
 
 class _Candidate(NamedTuple):
-    """Where to walk, (2,), which way to lean, (2,), and how far to raise the pole, metres."""
+    """Where to walk, (2,), where to lean to, (2,), and how far to raise the pole, metres."""
 
     code: str
-    words: str
+    text: str
     way: Array
     lean: Array
     lift: float = 0.0
@@ -65,15 +65,15 @@ def next_steps(
     Parameters
     ----------
     found
-        The walk so far.
+        The walk until now.
     sensors
         Of the target and the source; None where it is not known.
     name
-        What words call the target, from which left and right are seen.
+        How the text calls the target, from which left and right are seen.
     at
         Range at which the error is predicted, metres.
     surroundings
-        (6, 6) what they say of the pose, about the start of the beams: inverse of a covariance.
+        (6, 6) information about the pose from them, about the start of the beams.
     """
     known = np.linalg.inv(found.border)
     if surroundings is not None:
@@ -84,7 +84,7 @@ def next_steps(
     for each in _candidates(found, poses, name):
         more = _information(found, each, sensors, poses)
         sigma = error_of(np.asarray(np.linalg.inv(known + more)), at)
-        steps.append(Continuation(each.code, each.words, sigma))
+        steps.append(Continuation(each.code, each.text, sigma))
     return now, sorted(steps, key=lambda step: step.sigma)
 
 
@@ -137,13 +137,13 @@ def _information(
     sensors: tuple[Sensor | None, Sensor | None],
     poses: list[Array],
 ) -> Array:
-    """What both LiDARs would say of the border in a continuation: (C, C)."""
+    """Information (C, C) about the border from both LiDARs in a continuation."""
     begin = float(found.times.max())
     times: Array = begin + SWEEP * np.arange(1.0, 1 + round(SECONDS / SWEEP))
     given = zip((0, 1), poses, sensors, strict=True)
     rows = [_rows(found, to, lidar, T, sensor, times) for lidar, T, sensor in given]
     if not all(len(each.ranges) for each in rows):
-        # What one LiDAR sees alone says nothing of the pose.
+        # Rows of one LiDAR alone give no information about the pose.
         return np.zeros_like(found.border)
     first, count = begin - KNOT, round(SECONDS / KNOT) + 6
     seen = tuple(replace(each, rows=own) for each, own in zip(found.frame.seen, rows, strict=True))
@@ -171,12 +171,12 @@ def _rows(
     sensor: Sensor | None,
     times: Array,
 ) -> Rows:
-    """Rows where the rings of a LiDAR that met the pole so far would meet it."""
+    """Rows where the rings of a LiDAR that hit the pole until now would hit it."""
     frame, rows = found.frame, found.frame.seen[lidar].rows
     bands, own = np.unique(ring_bands(rows), return_inverse=True)
     level = np.arcsin(np.bincount(own, rows.directions[:, 2]) / np.bincount(own))
     axis = _axis(found, to, times)
-    # Between the heights at which most rows met the pole.
+    # Between the heights at which most rows hit the pole.
     met = se3.apply(T_walk, rows.directions * rows.ranges[:, None])[:, 2]
     low, high = np.quantile(met, [0.1, 0.9]) + to.lift
     heights = np.linspace(float(low), float(high), HEIGHTS)
@@ -191,7 +191,7 @@ def _rows(
     part = off[sweep, at, band] / (off[sweep, at, band] - off[sweep, at + 1, band] + 1e-15)
     hit = points[sweep, at] + part[:, None] * (points[sweep, at + 1] - points[sweep, at])
     ranges = np.linalg.norm(hit, axis=1)
-    # No farther than it was seen so far: tape gets dim.
+    # No farther than it has been seen: tape gets dim.
     seen = (ranges > NEAREST) & (ranges < max(float(rows.ranges.max()), NEAREST))
     if sensor is not None:
         seen &= sensor.has_in_view(hit)

@@ -82,8 +82,8 @@ class State(NamedTuple):
 class Frame:
     """What does not change from step to step.
 
-    The frame W, the knots, the middle of what each LiDAR saw in common with the first, 1 σ (E,) of
-    the errors, and what is known beforehand of the border, the inverse (C, C) of a covariance.
+    The frame W, the knots, the middle of the time that each LiDAR shares with the first, 1 σ (E,)
+    of the errors, and the prior of the border, the inverse (C, C) of a covariance.
     """
 
     T_walk_target: Array

@@ -44,7 +44,7 @@ LONGEST = 1.5
 """No part of a pole is further from the middle of its returns, metres."""
 
 ROUNDS, STEPS = 12, 4
-"""A gap is entered from either side by `HALF` each time, 3 s in all; a line comes to rest in a few
+"""A gap is entered from either side by `HALF` each time, 3 s in all; a line converges in a few
 steps."""
 
 
@@ -58,7 +58,7 @@ class Returns(NamedTuple):
     is_whole: BoolArray
 
     def select(self, index: BoolArray | IntArray) -> Returns:
-        """Take some of them."""
+        """Select some returns."""
         columns = self.xyz[index], self.times[index], self.sweep[index], self.rings[index]
         return Returns(*columns, self.is_whole[index])
 

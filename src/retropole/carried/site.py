@@ -176,19 +176,19 @@ def _refined(
     k = int(np.argmax(se3.lengths(steps[:, 3:])))
     radians, metres = (float(np.linalg.norm(part)) for part in np.split(steps[k], 2))
     times = np.sqrt(chi2 / len(step))
-    words = (
+    message = (
         f"the scene has {site.lidars[k].name} {error(metres, 'm')} and {error(radians, 'rad')} "
         f"from where the pole has it, {times:.1f} times what its uncertainty allows: did a LiDAR "
         "move while the pole was carried?"
     )
     values = {"mahalanobis_sq": chi2, "moved_m": metres, "turned_rad": radians}
     if times**2 > MAX_MAHALANOBIS_SQ / POSE:
-        raise Refusal("poles_scene_contradict", words, values)
-    return T, parts, [Reason("poles_and_scene_disagree", words, values)]
+        raise Refusal("poles_scene_contradict", message, values)
+    return T, parts, [Reason("poles_and_scene_disagree", message, values)]
 
 
 def _check_conflicts(names: Sequence[str], scans: SiteScans, T: Array, way: Array) -> None:
-    """Compare what stands around each two LiDARs under their poses.
+    """Compare the surroundings of each two LiDARs under their poses.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def _weaknesses(site: Site, scans: SiteScans, lidars: Sequence[LidarPose]) -> It
 
 
 def _walk(adjusted: Adjusted, solved: Solved, order: Sequence[int]) -> SiteWalk:
-    """Say how the pole was carried, and what each LiDAR saw of it, in the order of the site."""
+    """State how the pole was carried, and what each LiDAR saw, in the order of the site."""
     points, directions = axes_in_target(adjusted)
     offsets = adjusted.clocks[:, 0] + solved.ahead
     sigmas = adjusted.clock_sigmas

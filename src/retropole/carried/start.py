@@ -21,13 +21,13 @@ from ..base.datatypes import Array
 from .track import Track
 
 WIDEST = 5.0
-"""Clocks are off by this amount at most, s."""
+"""Largest offset of clocks, s."""
 
 STEP, FINE_STEP = 0.02, 0.002
 """Between the offsets that are tried, s: 20 ms at 1 m/s is 2 cm, less than a basin is wide."""
 
 GAP = 0.25
-"""Between sweeps further apart a track is not interpolated, s."""
+"""Largest time between sweeps over which a track is interpolated, s."""
 
 METRES_PER_RADIAN = 3.0
 """Weighs distances of lines with angles: the usual distance of a pole, metres."""
@@ -70,7 +70,7 @@ def find_starts(target: Track, source: Track) -> list[Start]:
     Parameters
     ----------
     target, source
-        As `find_track` gives them, each by its own clock.
+        As `find_track` gives them, each by the clock of its LiDAR.
     """
     grid = np.arange(-WIDEST, WIDEST + STEP, STEP)
     starts: list[Start] = []

@@ -38,7 +38,7 @@ MOST_PLACES = 400
 """So many places of the pole show its way."""
 
 FEWEST_AXES = 20
-"""So many places of the pole, evenly taken, stand for where it was."""
+"""Number of places of the pole, evenly taken, that represent where it was."""
 
 CARRIER = 0.9
 """The person who carries the pole is no further from it, level, metres: an arm that is half bent,
@@ -126,7 +126,7 @@ def scene_beside(
 ) -> tuple[SceneObjects, SceneObjects]:
     """Prepare both clouds, without what is near the way of the pole.
 
-    A LiDAR whose beams meet nothing twice does not show that it is a person who walks there.
+    A LiDAR whose beams hit nothing twice does not show that it is a person who walks there.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""When a walk is no answer: what each LiDAR saw, what fits, and what the walk leaves open."""
+"""When a walk is no answer: what each LiDAR saw, what fits, what the walk does not determine."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ MAX_LEFT_OUT = 0.05
 (tuning seeds 0 to 8, typical errors)."""
 
 MAX_SCALE, MAX_JITTER = 2.5, 0.006
-"""Ranges scatter no more than so many times what is stated, and edges by no more than an angle,
-rad: with the errors of the field, 1.3 and 0.002."""
+"""Ranges scatter by no more than this multiple of what is stated, and edges by no more than an
+angle, rad: with the errors of the field, 1.3 and 0.002."""
 
 MAX_WINDOW_RMS, CLIPPED = 2.0, 6.0
 """Root mean square of the residuals of a LiDAR in a window of 5 s, each clipped, all in σ: of sound
@@ -74,7 +74,7 @@ def check_tracks(tracks: Sequence[Track]) -> None:
 
 
 def chosen(solutions: Sequence[Adjusted], names: Sequence[str] = PAIR) -> Adjusted:
-    """Take the solution that fits best, where it is the only one that fits and the walk tells.
+    """Take the solution that fits best, if it is the only one that fits and the walk suffices.
 
     Parameters
     ----------
@@ -101,9 +101,9 @@ def chosen(solutions: Sequence[Adjusted], names: Sequence[str] = PAIR) -> Adjust
             off = se3.difference(best.T[k], other.T[k])
             raise Refusal(
                 "several_walks_fit",
-                f"clock offsets{_of(names, k)} of {first:.3f} s and {second:.3f} s fit alike, with "
-                f"poses {np.degrees(off.rotation):.1f}° and {off.translation:.2f} m apart: walk "
-                "with turns, and lean the pole to all sides",
+                f"clock offsets{_of(names, k)} of {first:.3f} s and {second:.3f} s both fit, with "
+                f"poses that differ by {np.degrees(off.rotation):.1f}° and "
+                f"{off.translation:.2f} m: walk with turns, and lean the pole to all sides",
                 {"offset_s": first, "other_offset_s": second},
             )
     _check_geometry(best, names)
@@ -123,7 +123,7 @@ def _of(names: Sequence[str], k: int, word: str = "of") -> str:
 
 
 def _apart(one: Adjusted, other: Adjusted) -> Array:
-    """(L,) how far two poses of each LiDAR are apart, in σ of both; 0 of the target."""
+    """(L,) distance between two poses of each LiDAR, in σ of both; 0 of the target."""
     found = [0.0]
     for k, (T, T_other) in enumerate(zip(one.T[1:], other.T[1:], strict=True)):
         step, own = se3.local(T, T_other), own_part(k + 1)
@@ -198,7 +198,7 @@ def _check_clock(best: Adjusted, names: Sequence[str]) -> None:
 
 
 def _check_geometry(best: Adjusted, names: Sequence[str]) -> None:
-    """Refuse a walk that leaves a pose open, and say what it lacked."""
+    """Refuse a walk that does not determine a pose, and name what it lacked."""
     each = range(1, len(best.T))
     parts = [best.covariance[own_part(k), own_part(k)] for k in each]
     errors = [predicted_error(part, (AT,))[0].sigma_m for part in parts]
@@ -207,10 +207,10 @@ def _check_geometry(best: Adjusted, names: Sequence[str]) -> None:
         return
     along, across, lean = extent_of(best)
     lacks = [
-        words
-        for words, is_so in (
+        fault
+        for fault, is_so in (
             (f"the pole hardly moved ({along:.1f} m to either side)", along < LITTLE_WALK),
-            (f"it was carried along a line ({across:.1f} m beside it)", across < NARROW_WALK),
+            (f"it was carried along a line ({across:.1f} m to either side)", across < NARROW_WALK),
             (f"it hardly leaned ({np.degrees(lean):.0f}°)", lean < LITTLE_LEAN),
         )
         if is_so

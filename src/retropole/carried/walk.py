@@ -30,7 +30,7 @@ MOST_STARTS = 4
 """At most this many starts of a pair are adjusted: each takes about a second."""
 
 WORST_START = 0.1
-"""A start whose lines are further apart, rad, is none: of sound walks it was 0.010 to
+"""A start whose lines differ by more, rad, is none: of sound walks it was 0.010 to
 0.020 (tuning seeds 0 to 5), of one whose common part was too short 0.18."""
 
 APART = 0.1
@@ -114,7 +114,7 @@ def calibrate_tracks(
         As of `calibrate_walk`.
     ahead
         By how much the source's clock is ahead as it is otherwise known, to within `WIDEST`, s.
-        None: not at all, or where the walks are then apart, as if both began together.
+        None: not at all, or if the walks then do not overlap, as if both began together.
 
     Raises
     ------
@@ -129,7 +129,8 @@ def calibrate_tracks(
 class Solved:
     """What fits all tracks: a solution for each start, about the start of the beams.
 
-    ``ahead`` (L,) is by how much each clock was taken to be ahead, s; offsets are beside it.
+    ``ahead`` (L,) is by how much each clock was taken to be ahead, s; offsets are in addition to
+    it.
     """
 
     tracks: tuple[Track, ...]

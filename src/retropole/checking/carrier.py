@@ -1,7 +1,7 @@
 """What a carrier that moves between two recordings makes of the pose between their LiDARs.
 
 A vehicle reported as stationary may creep. Where its LiDARs recorded at different times, it was
-at another pose, and the pose between them is off by its motion: that is no movement of the
+at another pose, and the pose between them is off by its motion: that is not a movement of the
 rig. The sweeps of a recording show the motion (`surfaces.sway.velocity_of`), and it is removed. A
 single sweep shows none; then only the assumed speed of a stationary carrier bounds it.
 """
@@ -29,10 +29,10 @@ recordings that were assumed stationary crept at up to 0.24 m/s; the test
 explains 4.1 σ, 0.29 m/s, less the noise of the poses."""
 
 FASTEST = 0.5
-"""A carrier that moves faster drives, m/s: that is no recording to check by."""
+"""A carrier that moves faster drives, m/s: such a recording cannot be used for a check."""
 
 LEVER = 10.0
-"""A carrier that creeps turns as about a point so far away, metres, 1 σ."""
+"""A carrier that creeps turns as about a point at this distance, metres, 1 σ."""
 
 SWEEP = 0.2
 """Recordings whose middles differ in time by more than a sweep of the slowest LiDARs takes, s,
@@ -83,7 +83,7 @@ class CarrierMotion:
         return Reason(
             "carrier_moved",
             f"the carrier of the LiDARs moved while they recorded, by {rate} each second as their "
-            f"sweeps show, and the recordings are {1e3 * abs(self.apart):.0f} ms apart: the "
+            f"sweeps show, and the recordings differ by {1e3 * abs(self.apart):.0f} ms: the "
             f"{error(self._moved)} and {turned} that this adds to the pose are removed",
             self._values,
         )
@@ -93,7 +93,7 @@ class CarrierMotion:
         moved = float(np.linalg.norm(step[TRANSLATION]))
         return Reason(
             "carrier_moved",
-            f"the recordings are {1e3 * abs(self.apart):.0f} ms apart by their timestamps: a "
+            f"the timestamps of the recordings differ by {1e3 * abs(self.apart):.0f} ms: a "
             f"carrier that creeps at {moved / abs(self.apart):.2f} m/s gives such a pose "
             "although the LiDARs did not move on it, and single sweeps do not show whether the "
             "carrier moved; record some seconds, or while it is at rest",
@@ -131,8 +131,8 @@ def carrier_motion(T: Array, target: PointCloud, source: PointCloud) -> CarrierM
     Returns
     -------
     CarrierMotion or None
-        None if the times are not known or the same, where the recordings are not of one moment,
-        and where the carrier drives, or turned by more than a LiDAR may that records.
+        None if the times are unknown or equal, if the recordings are not of one moment, or if the
+        carrier drives or turned by more than the limit for a LiDAR that records.
     """
     when = time_of_recording(target), time_of_recording(source)
     if when[0] is None or when[1] is None:

@@ -1,7 +1,7 @@
 """The field test of two LiDARs by the distances between poles, without any calibration.
 
 After ISO 17123-9, whose idea it takes: two instruments measure the same targets, and the distances
-between targets do not depend on where an instrument is. Each LiDAR's axes come from its own
+between targets do not depend on where an instrument is. Each LiDAR's axes come from its
 returns (`axes`), and are compared by `distances` that no rigid motion changes. See docs/check.md.
 """
 
@@ -177,7 +177,7 @@ class FieldTest:
 def certify(
     placements: Sequence[Placement], *, radius: float, radius_sigma: float = 0.0
 ) -> FieldTest:
-    """Test by the distances between poles whether two LiDARs measure as well as is stated of them.
+    """Test by the distances between poles whether two LiDARs measure as well as stated.
 
     Nothing is raised: what cannot be tested is ``refused``, with the reason.
 
@@ -201,8 +201,8 @@ def certify(
         try:
             both = correspond(placement.target.poles, placement.source.poles)
         except Refusal as refusal:
-            words = f"placement {k + 1} is not compared: " if len(placements) > 1 else ""
-            reasons.append(_reason(refusal, words))
+            prefix = f"placement {k + 1} is not compared: " if len(placements) > 1 else ""
+            reasons.append(_reason(refusal, prefix))
             poles.append(PolesSeen(*counts, 0))
         else:
             found.append((k, both))
@@ -319,8 +319,8 @@ def compare(
     )
 
 
-def _reason(refusal: Refusal, words: str = "") -> Reason:
-    return Reason(refusal.code, words + refusal.message, refusal.values)
+def _reason(refusal: Refusal, prefix: str = "") -> Reason:
+    return Reason(refusal.code, prefix + refusal.message, refusal.values)
 
 
 def _refused(reasons: Sequence[Reason], poles: tuple[PolesSeen, ...]) -> FieldTest:

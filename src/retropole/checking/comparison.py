@@ -74,7 +74,7 @@ def compare(
     methods
         Names from `methods.ALL_METHODS`.
     options
-        As `pipeline.calibrate`; the rivals use none of them.
+        As `pipeline.calibrate`; the rivals do not use these.
     T_true
         (4, 4) truth, where it is known.
     sigma

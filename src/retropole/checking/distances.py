@@ -3,13 +3,13 @@
 A line has no distinct points, and its taped part ends differently for each LiDAR. So each pole gets
 a point that only the poles themselves define: the point on its axis from which the squared
 distances to all other axes are least. It may lie metres above the ground; from there both LiDARs go
-the same way along the axis, to the middle of what they see of it. What is compared is the distance
+the same way along the axis, to the middle of the part they see. What is compared is the distance
 of two such points. Where on the axis they lie is only as certain as the poles lean against each
 other, but it hardly changes a distance across them.
 
 Each sweep of a recording measures all distances again. Their scatter is compared with what the
 returns of a sweep allow, since a LiDAR that is nearer, or has more beams, repeats a distance
-better without being better than is stated of it.
+better without being better than stated.
 """
 
 from __future__ import annotations

@@ -61,8 +61,8 @@ NEAR_STORED_ROTATION = float(np.radians(10.0))
 
 MAX_FREE_SPACE_VIOLATION = 0.05
 """Largest share of points, under the new pose, where the other LiDAR looked through. The
-right pose has up to 0.02 of them, at the edges of objects; wrong ones that fit the ground only have
-0.02 and more, but are then as uncertain as the search was wide (benchmarks/check.py)."""
+right pose has up to a share of 0.02, at the edges of objects; wrong ones that fit the ground only
+have 0.02 and more, but are then as uncertain as the search was wide (benchmarks/check.py)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +147,9 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
         return NewPose(None, reasons=(misfit,))
     reasons: list[Reason] = []
     if not refined.converged:
-        words = f"the registration of the scene still moved after {refined.iterations} iterations"
+        message = f"the registration of the scene still moved after {refined.iterations} iterations"
         reasons.append(
-            Reason("not_converged", words, {"stage": "scene", "iterations": refined.iterations})
+            Reason("not_converged", message, {"stage": "scene", "iterations": refined.iterations})
         )
     if refined.other_minima:
         furthest = max(refined.other_minima, key=lambda one: float(np.linalg.norm(one[3:])))
@@ -158,7 +158,8 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
             Reason(
                 "several_minima",
                 "the surfaces of the new clouds fit each other at more than one pose near the "
-                f"stored one, {error(metres)} and {error(radians, 'rad')} apart; set up the poles",
+                f"stored one, {error(metres)} and {error(radians, 'rad')} from each other; set up "
+                "the poles",
                 {"apart_m": metres, "apart_rad": radians, "starts": 1 + len(refined.other_minima)},
             )
         )
@@ -284,7 +285,7 @@ NO_RECORDINGS = ("far_from_lidar", "same_recording", "wrong_unit", "wrong_sensor
 
 PREFERRED = 2.0
 """A movement is reported only if the surfaces fit this many σ better under the new pose than under
-the stored one. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once
+the stored one. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 σ, once
 in a hundred times (docs/check.md). Of 52 simulated recordings moved by the tolerance all have 2.8
 and more, corridors of few places least (seeds 0 to 12)."""
 
@@ -316,8 +317,8 @@ def check(
     stored
         The calibration of the site, with its covariance.
     target, source
-        New recordings of the same two LiDARs, each in its own frame. Poles are used if both
-        see them, and may be at other positions; without poles or intensities, the scene
+        New recordings of the same two LiDARs, each in the frame of its LiDAR. Poles are used if
+        both see them, and may be at other positions; without poles or intensities, the scene
         is used.
     options
         Options of both, as for `pipeline.calibrate`.

@@ -1,6 +1,6 @@
 """How good a transform is: against a known truth, or by how well it aligns the clouds.
 
-Without a truth the entropy says how sharp aligned clouds are: B. Sheehan, A. Harrison and P.
+Without a truth the entropy measures how sharp aligned clouds are: B. Sheehan, A. Harrison and P.
 Newman, *Self-calibration for a 3D laser*, IJRR 2012; Xue et al. 2019 score their Table IV by it.
 """
 
@@ -57,7 +57,7 @@ class Entropy:
     sum
         Argument of the logarithm, 1/m³; larger is sharper.
     log
-        −log of it: the entropy; smaller is sharper.
+        −log of that: the entropy; smaller is sharper.
     error
         Bound on the relative error of ``sum`` by what was left out.
     points

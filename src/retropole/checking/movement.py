@@ -185,7 +185,7 @@ class Weakness:
             (self.reported.rotation > widest.rotation, widest.rotation_in_words),
             (self.reported.translation > widest.translation, widest.translation_in_words),
         )
-        missing = " and ".join(words for is_missing, words in parts if is_missing)
+        missing = " and ".join(what for is_missing, what in parts if is_missing)
         return self._reason(
             "too_weak",
             f"no movement was found, but these data show only, {CONFIDENTLY}, that any movement "
@@ -201,7 +201,7 @@ class Weakness:
             f"{self.requested.in_words}, cannot be determined by these data: ",
         )
 
-    def _reason(self, code: Code, words: str) -> Reason:
+    def _reason(self, code: Code, finding: str) -> Reason:
         """Add the direction in which the step is least certain, the pose that limits it, and
         advice."""
         covariance, share = step_covariance(self.stored, self.new), self._stored_share()
@@ -214,7 +214,7 @@ class Weakness:
         )
         return Reason(
             code,
-            f"{words}{directions_in_words(covariance)}; {remedy}",
+            f"{finding}{directions_in_words(covariance)}; {remedy}",
             {
                 "tolerance_rad": self.reported.rotation,
                 "tolerance_m": self.reported.translation,
@@ -392,8 +392,8 @@ def compare_poses(
         message = "it moved, but certainly by less than the tolerance"
         listed.append(Reason("within_tolerance", message, {}))
     elif power < MIN_POWER:
-        words = directions_in_words(covariance)
-        message = f"it is certain that it moved, but not by how much: {words}"
+        directions = directions_in_words(covariance)
+        message = f"it is certain that it moved, but not by how much: {directions}"
         listed.append(Reason("size_unsure", message, {}))
     T, random = new.T_target_source, parts[1].random
     return CheckResult(

@@ -96,9 +96,9 @@ def register_clouds(
     Raises
     ------
     Refusal
-        ``too_few_points`` where a cloud is too small, ``no_overlap`` where too few points find
-        each other, ``not_converged`` where the iterations run out, ``registration_failed`` where
-        the result is not finite.
+        ``too_few_points`` if a cloud is too small, ``no_overlap`` if too few points find each
+        other, ``not_converged`` if the iterations run out, ``registration_failed`` if the result is
+        not finite.
     """
     surfaces = (
         prepare(target.xyz, REGISTRATION_VOXEL, threads=CORES),

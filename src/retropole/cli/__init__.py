@@ -74,15 +74,15 @@ def cli() -> None:
     """
 
 
-def run(words: Sequence[str] | None = None) -> int:
+def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and give its exit code; every error of retropole ends here.
 
     Parameters
     ----------
-    words
+    arguments
         What follows ``retropole``; None takes it from `sys.argv`.
     """
-    args = sys.argv[1:] if words is None else list(words)
+    args = sys.argv[1:] if arguments is None else list(arguments)
     never_fail_to_encode()
     try:
         code = cli.main(args, prog_name="retropole", standalone_mode=False)
@@ -105,12 +105,12 @@ def run(words: Sequence[str] | None = None) -> int:
     return int(code or 0)
 
 
-def _command_of(words: Sequence[str]) -> tuple[str, click.Command]:
+def _command_of(arguments: Sequence[str]) -> tuple[str, click.Command]:
     """Find the command that was called, of a group which of it, and its name."""
     name: str = "retropole"
     command: click.Command = cli
-    named = next((k for k, word in enumerate(words) if word in COMMANDS), len(words))
-    for word in words[named : named + 2]:
+    named = next((k for k, word in enumerate(arguments) if word in COMMANDS), len(arguments))
+    for word in arguments[named : named + 2]:
         inner = command.commands if isinstance(command, click.Group) else {}
         if word in inner:
             name, command = f"{name} {word}", inner[word]

@@ -144,9 +144,9 @@ def site_calibrate(
 ) -> int:
     """Find the poses of all LiDARs of a site in one frame.
 
-    SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
-    what was surveyed; 'retropole site init' writes one. SITE.toml may be the folder that holds it.
-    With carried = true in it, one pole was carried through the view of all LiDARs.
+    SITE.toml lists the LiDARs, their recordings in each placement of the poles, and surveyed
+    points; 'retropole site init' writes one. SITE.toml may be its folder. With carried = true in
+    it, one pole was carried through the view of all LiDARs.
 
     \b
     Examples:
@@ -171,7 +171,7 @@ def site_calibrate(
     field_test = {"field test of the LiDARs": command_line("certify", site_file, "--out", out)}
     following = {
         "next": command_line("export", written[0], "--to", "urdf", "--out", out / "site.urdf"),
-        # A pole that was carried stood nowhere.
+        # A pole that was carried had no fixed place.
         **({} if result.document.config.carried else field_test),
         "later, with new recordings": command_line("site", "check", out, "SITE"),
     }

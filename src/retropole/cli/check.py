@@ -149,7 +149,7 @@ def check(
 def _report(
     answer: Answer,
     fields: Callable[[Answer], dict[str, Any]],
-    words: Callable[[Answer], str],
+    text_of: Callable[[Answer], str],
     *,
     as_json: bool,
     quiet: bool,
@@ -158,7 +158,7 @@ def _report(
     if as_json:
         show(json_text(fields(answer)))
     elif not quiet:
-        show(in_colour(words(answer), answer.status))
+        show(in_colour(text_of(answer), answer.status))
     return EXITS[answer.status]
 
 
@@ -224,8 +224,8 @@ def in_words(answer: CheckResult) -> str:
             f"  found by {how}",
         ]
     if answer.confirmation is not None:
-        words = answer.confirmation.words
-        lines.append(f"  scene check under the stored pose: {words}")
+        scene = answer.confirmation.text
+        lines.append(f"  scene check under the stored pose: {scene}")
     lines = [part for line in lines for part in wrapped(line, "    ")]
     return "\n".join([*lines, *_reason_lines(answer.reasons)])
 
@@ -315,7 +315,7 @@ def site_in_words(answer: SiteCheck) -> str:
         text.append("these pairs do not show which LiDAR of a moved pair has moved")
     if answer.untold:
         text.append(f"undecided whether moved: {', '.join(answer.untold)}")
-    lines += [part for words in text for part in wrapped(f"  {printable(words)}", "    ")]
+    lines += [part for line in text for part in wrapped(f"  {printable(line)}", "    ")]
     if answer.pairs:
         header = ("LiDARs", "answer", "rotated by", "translated by")
         lines.append(table(header, [_pair_row(each) for each in answer.pairs]))

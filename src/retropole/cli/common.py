@@ -80,7 +80,7 @@ def _in_ascii(error: UnicodeError) -> tuple[str, int]:
     return "".join(ASCII.get(sign) or escaped(sign) for sign in signs), error.end
 
 
-def show(words: str | bytes) -> None:
+def show(text: str | bytes) -> None:
     """Print the output of a command on stdout.
 
     Raises
@@ -89,7 +89,7 @@ def show(words: str | bytes) -> None:
         If it cannot be written; names the standard output.
     """
     try:
-        click.echo(words, nl=isinstance(words, str) and not words.endswith("\n"))
+        click.echo(text, nl=isinstance(text, str) and not text.endswith("\n"))
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -100,15 +100,15 @@ VERDICT_COLOURS = {"ok": "green", "same": "green", "warn": "yellow", "cannot_tel
 VERDICT_COLOURS |= {"refused": "red", "moved": "red", "pass": "green", "fail": "red"}
 
 
-def in_colour(words: str, status: str) -> str:
+def in_colour(text: str, status: str) -> str:
     """Colour the first line, the verdict, where stdout is a terminal that shows colours.
 
     Not where NO_COLOR is set (https://no-color.org).
     """
     dumb = os.environ.get("TERM") == "dumb"
     if os.environ.get("NO_COLOR") or dumb or not sys.stdout.isatty():
-        return words
-    verdict, line_end, rest = words.partition("\n")
+        return text
+    verdict, line_end, rest = text.partition("\n")
     return click.style(verdict, fg=VERDICT_COLOURS.get(status), bold=True) + line_end + rest
 
 
@@ -165,7 +165,7 @@ def listening(
         if odd is not None:
             named = " or ".join(advice.unit.format(unit) for unit in odd.units)
             remedy = f"; if they are, {advice.to_read.format(named)}" if named else ""
-            say(f"retropole: {given.name}: {odd.words}{remedy}")
+            say(f"retropole: {given.name}: {odd.text}{remedy}")
         elif given.sensor_doubt:
             say(f"retropole: {given.sensor_doubt}")
 
@@ -243,8 +243,8 @@ def report_result(
         show(written[0].read_bytes())
     elif not quiet:
         paths = [str(path) for path in written]
-        words = describe_result(result.document, paths, following, verbose=verbose)
-        show(in_colour(words, result.status))
+        text = describe_result(result.document, paths, following, verbose=verbose)
+        show(in_colour(text, result.status))
     refused, unseen = result.status == "refused", quiet or as_json
     for reason in result.reasons:
         if refused and unseen:
@@ -264,11 +264,11 @@ def show_written(*places: str | Path) -> None:
     show("written: " + ", ".join(printable(str(place)) for place in places))
 
 
-def command_line(*words: str | Path) -> str:
+def command_line(*arguments: str | Path) -> str:
     """Write a command of retropole as it is typed, its words quoted for the shell."""
     typed = ["retropole"]
     # A file whose name begins as an option does is none.
-    typed += [f"./{w}" if isinstance(w, Path) and f"{w}"[0] == "-" else f"{w}" for w in words]
+    typed += [f"./{w}" if isinstance(w, Path) and f"{w}"[0] == "-" else f"{w}" for w in arguments]
     return list2cmdline(typed) if os.name == "nt" else shlex.join(typed)
 
 

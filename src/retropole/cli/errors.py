@@ -41,7 +41,7 @@ TO_LOOK_AT = {
         "docs/troubleshooting.md",
     ),
 }
-"""By the command, and of all others, what to do where a file cannot be read, and the page."""
+"""By the command, and for all others: what to do if a file cannot be read, and the page."""
 
 
 class Failure(NamedTuple):
@@ -100,18 +100,18 @@ def failure_of(error: Exception, command: str) -> Failure:
         case RetropoleError():
             return Failure("usage", str(error), options)
         case MemoryError():
-            words = f"there is not enough memory: {quoting(str(error))}"
+            message = f"there is not enough memory: {quoting(str(error))}"
             less = "read less: fewer --frames A:B, or a smaller --max-points N"
-            return Failure("out_of_memory", words, (less,))
+            return Failure("out_of_memory", message, (less,))
         case OSError():
             # Help and tables are printed by click and rich: only they leave out where.
             unnamed = error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO)
             place = error.filename or ("standard output" if unnamed else "")
-            words = quoting(f"{place}: {error.strerror}" if place else str(error))
+            message = quoting(f"{place}: {error.strerror}" if place else str(error))
             check = "check that it exists and may be read or written, and that the disk is not full"
             if isinstance(error, BlockingIOError) and error.filename:
                 check = "wait until that run has ended, or name another folder with --out"
-            return Failure("system", words, (check,))
+            return Failure("system", message, (check,))
     raise error
 
 
@@ -132,7 +132,7 @@ def report_failure(failure: Failure, *, refused: bool, as_json: bool) -> int:
     return EXIT_REFUSED if refused else EXIT_USAGE
 
 
-def asks_for_json(words: Sequence[str]) -> bool:
+def asks_for_json(arguments: Sequence[str]) -> bool:
     """Return whether --json is among words that may make no sense otherwise."""
-    options = list(words)
+    options = list(arguments)
     return "--json" in (options[: options.index("--")] if "--" in options else options)

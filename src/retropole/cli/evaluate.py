@@ -176,7 +176,7 @@ def evaluate(
         + ("nothing overlaps" if residual is None else f"{100 * residual:.2f} cm"),
         f"entropy         sum {aligned.entropy.sum:.5g} 1/m3, -log {aligned.entropy.log:.4f} "
         f"({aligned.entropy.points:,} points, kernel {sigma:g} m)",
-        f"scene           {aligned.confirmation.words}",
+        f"scene           {aligned.confirmation.text}",
     ]
     if errors is not None:
         lines.append(
@@ -289,8 +289,8 @@ def in_words(found: Sequence[Compared], target: Path, source: Path) -> str:
     by_reason: dict[str, list[str]] = {}
     for each in found:
         if each.status in ("warn", "refused"):
-            words = f"{each.status} ({', '.join(each.codes)}): {each.message}"
-            by_reason.setdefault(words, []).append(each.method)
-    for words, names in by_reason.items():
-        parts += ["", *wrapped(f"{' and '.join(names)}: {words}", "  ")]
+            reason = f"{each.status} ({', '.join(each.codes)}): {each.message}"
+            by_reason.setdefault(reason, []).append(each.method)
+    for reason, names in by_reason.items():
+        parts += ["", *wrapped(f"{' and '.join(names)}: {reason}", "  ")]
     return "\n".join(parts)

@@ -78,8 +78,8 @@ def export(
     --mounting or --into.
 
     \b
-    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
-    are at another place now, or where RESULT is no result.json.
+    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE if they
+    have been moved, or if RESULT is no result.json.
 
     \b
     Formats:
@@ -121,7 +121,7 @@ def export(
     if fmt == MCAP and out is None:
         raise click.UsageError(f"--to {MCAP} needs --out: it cannot be printed")
     if mounting is not None and (into is not None or fmt == MCAP):
-        why = f"--to {MCAP} has only the LiDARs" if into is None else "the robot holds it"
+        why = f"--to {MCAP} has only the LiDARs" if into is None else "the robot file has it"
         raise click.UsageError(f"--mounting does not apply: {why}")
     base = None if mounting is None else transforms.read_mounting(mounting, parent)
     parent = base.child if base else parent
@@ -137,8 +137,8 @@ def export(
             _warn(result)
             if fmt not in TREE_TITLES:
                 raise click.UsageError(
-                    f"--to {fmt} holds one transform; name two frames of the site with --parent "
-                    f"and --child, or write all of them: --to {', '.join(TREE_TITLES)}"
+                    f"--to {fmt} has one transform; name two frames of the site with --parent "
+                    f"and --child, or write all frames: --to {', '.join(TREE_TITLES)}"
                 )
             if fmt == MCAP:
                 _write(transforms.write_transforms(tree.edges, tree.verdict), out)
@@ -177,12 +177,12 @@ fill_in(export, "FORMATS_OF_A_SITE", TREE_TITLES, width=12)
 fill_in(export, "FORMATS", TITLES, width=12)
 
 
-def _write(words: str | bytes, out: Path | None) -> None:
+def _write(text: str | bytes, out: Path | None) -> None:
     """Write to a file, or print."""
     if out is None:
-        show(words)
+        show(text)
     else:
-        write_atomically(out, words if isinstance(words, bytes) else words.encode())
+        write_atomically(out, text if isinstance(text, bytes) else text.encode())
 
 
 def _warn(path: Path) -> None:
@@ -191,8 +191,8 @@ def _warn(path: Path) -> None:
         echo_warning(reason.code, reason.message)
 
 
-def _note(words: str) -> None:
-    say(f"retropole: {words}")
+def _note(text: str) -> None:
+    say(f"retropole: {text}")
 
 
 def _report_origin(given: Input) -> None:

@@ -180,7 +180,7 @@ def report(dataset: str, out: str, reports: str | None, history: str | None, qui
 
 
 def _in_words(summary: FleetSummary, *written: str) -> str:
-    """Report the outcome of a fleet: counts, the most frequent codes, the place of the dataset."""
+    """Report the outcome of a fleet: counts, the most frequent codes, the path of the dataset."""
     from ..base.errors import printable
     from ..base.quantities import counted
 

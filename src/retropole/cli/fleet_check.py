@@ -107,9 +107,9 @@ def fleet_check(
 
     Of each site all checks since it was calibrated count: a step is reported when a second check
     confirms it, a trend when enough have shown it, and that the site moved when two checks in a row
-    say so. A single check that is off is no change.
-    What the history has already is not checked again. What is wrong with one site is in its row,
-    and ends nothing; what is damaged of the history is named and left out.
+    say so. A single check that is off is not a change. What the history has already is not checked
+    again. What is wrong with one site is in its row, and ends nothing; what is damaged of the
+    history is named and left out.
 
     \b
     Examples:
@@ -203,7 +203,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
     """Write what was found at the sites: a line for each pair with news."""
     lines = []
     for site in found.sites:
-        text = [site.words(event) for event in site.changes]
+        text = [site.describe(event) for event in site.changes]
         if site.watched.waiting:
             since = site.times[site.watched.waiting[0]]
             text.append(f"off since {since:%Y-%m-%d}, not confirmed yet: another check decides")

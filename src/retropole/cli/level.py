@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from ..result.level import LevelDoc
 
 CROSSFALL = 0.025
-"""Of a road, as it is built to drain: so far the ground's normal may be from the plumb line."""
+"""Of a road, as it is built to drain: angle that the ground's normal may differ by from the plumb
+line."""
 
 
 @click.command(cls=Brief)
@@ -75,7 +76,7 @@ def level(
     Exit code:
       0    found
       2    RESULT or a recording cannot be read, or an option is wrong
-      3    refused: too little ground is seen, or two levels of it; or RESULT has no poses
+      3    refused: too little ground is seen, or ground at two levels; or RESULT has no poses
     """
     from ..api.leveling import BaseLink, level_result
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..api.live_merging import LiveWish
 
 PACE_SECONDS = 10.0
-"""How often a line says how clouds keep up, s."""
+"""How often a line reports the rate of clouds, s."""
 
 
 def merge_until_stopped(
@@ -34,13 +34,13 @@ def merge_until_stopped(
             due = time.monotonic() + PACE_SECONDS
             while not (stopped.is_set() or merge.has_ended):
                 merge.step()
-                for words in merge.new_words():
-                    say(f"retropole: {printable(words)}")
+                for message in merge.new_messages():
+                    say(f"retropole: {printable(message)}")
                 if time.monotonic() >= due:
                     due += PACE_SECONDS
                     pace = merge.pace()
                     if not quiet:
-                        say(f"retropole: {pace.words}")
+                        say(f"retropole: {pace.text}")
         if wish.out is not None and not quiet:
             show_written(wish.out)
         return stopped.code or 0

@@ -64,12 +64,12 @@ class Brief(click.Command):
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
-        words = "Show all options and examples, and exit."
+        description = "Show all options and examples, and exit."
         flag: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False}
-        more_option("--help-all", callback=_all, help=words, **flag)(self)
+        more_option("--help-all", callback=_all, help=description, **flag)(self)
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the text, up to the form feed or all of it."""
+        """Write the text, up to the form feed, or whole."""
         first, _, rest = cleandoc(self.help or "").partition("\f\n")
         formatter.write_paragraph()
         with formatter.indentation():
@@ -78,7 +78,7 @@ class Brief(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and how many more there are."""
         super().format_options(ctx, formatter)
-        # The one that shows them is not one of them.
+        # The option that shows them is not included.
         more = sum(getattr(each, "more", False) for each in self.params) - 1
         if more and HELP_ALL not in ctx.meta:
             formatter.write(f"\n--help-all: {more} more\n")
@@ -134,8 +134,8 @@ class Radius(Number):
     def convert(self, value: Any, *of: Any) -> float:
         """Take a number as `Number` does."""
         with suppress(ValueError):
-            if words := radius_in_metres(float(value)):
-                self.fail(f"{words}.", *of)
+            if description := radius_in_metres(float(value)):
+                self.fail(f"{description}.", *of)
         return super().convert(value, *of)
 
 
@@ -195,7 +195,7 @@ class Both(Option):
     """An option of both LiDARs: given once for both, or for TARGET and again for SOURCE.
 
     It is repeated rather than split at a comma: paths may hold one, ``1,5`` is a number to many,
-    and a shell completes each value on its own. Options that were of one LiDAR each still work.
+    and a shell completes each value separately. Options that were of one LiDAR each still work.
     """
 
     def __init__(self, *names: Any, pair: Pair, **settings: Any) -> None:
@@ -257,7 +257,7 @@ def verdict_options(more: str) -> Callable[[Command], Command]:
 def run_option(
     field: str | Pair, name: str | None = None, **changes: Any
 ) -> Callable[[Command], Command]:
-    """Make a command's option of a field of `RunConfig`, or of a pair of them.
+    """Make a command's option of a field of `RunConfig`, or of a pair of fields.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def run_option(
         What is another here, as `Option` takes it.
     """
     of = field.target if isinstance(field, Pair) else field
-    kind, words, is_rare = OPTIONS[of]
+    kind, description, is_rare = OPTIONS[of]
     default = getattr(DEFAULT_CONFIG, of)
     settings: dict[str, Any] = {"cls": Option, "more": is_rare, "metavar": METAVARS.get(of)}
     if isinstance(kind, inspect.BoolType):
@@ -281,13 +281,13 @@ def run_option(
         settings["callback"] = _frames
     if of == "sensor_target":
         settings["shell_complete"] = _sensors
-    settings |= {"help": words, "default": default} | changes
+    settings |= {"help": description, "default": default} | changes
     if not isinstance(field, Pair):
         return click.option(name or NAMES.get(field) or typed(field), field, **settings)
     described, mark, default = settings["help"].partition("  [default")
     once = "Once: TARGET's. " if field.name == "angles" else ""
-    words = f"{described} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
-    settings |= {"cls": Both, "pair": field, "default": None, "help": words}
+    description = f"{described} {once}Twice: TARGET's, then SOURCE's.{mark}{default}"
+    settings |= {"cls": Both, "pair": field, "default": None, "help": description}
     return click.option(f"--{field.name}", field.name, **settings)
 
 

@@ -21,13 +21,13 @@ DEFAULT_OUT = Path("retropole-out")
 
 
 def out_folder(
-    words: str, *files: str, default: Path | None = DEFAULT_OUT, keeping: str = "nothing"
+    help_text: str, *files: str, default: Path | None = DEFAULT_OUT, keeping: str = "nothing"
 ) -> Callable[[Command], Command]:
     """Give a command --out, a folder that no other run may write to until it ends.
 
     Parameters
     ----------
-    words
+    help_text
         Help of the option.
     files
         What it writes there. Those of a run before are renamed at its start, since they would be
@@ -47,7 +47,7 @@ def out_folder(
             with run_alone(out, _command_path()), _without_older(out, names):
                 return command(*given, out=out, **options)
 
-        option = click.option("--out", type=OUT, default=default, help=words)
+        option = click.option("--out", type=OUT, default=default, help=help_text)
         added = option(alone)
         WRITES[added] = files, default, keeping
         return added
@@ -78,8 +78,8 @@ def _without_older(folder: Path, names: Sequence[str]) -> Iterator[None]:
     are_there = any(map(Path.is_file, files))
 
     def report_at_once() -> None:
-        words = _moved_in_words([path.with_name(f"older-{path.name}") for path in files])
-        os.write(2, f"{words}\n".encode(errors="backslashreplace"))
+        message = _moved_in_words([path.with_name(f"older-{path.name}") for path in files])
+        os.write(2, f"{message}\n".encode(errors="backslashreplace"))
 
     if are_there:
         leaving.append(report_at_once)
@@ -101,15 +101,15 @@ def _moved_in_words(moved: Sequence[Path]) -> str:
     return f"retropole: no {kind} of this run; the previous one is now {now}" if there else ""
 
 
-def set_older_aside(command: click.Command, words: Sequence[str]) -> None:
-    """Rename what a command would have replaced, where its words make no sense.
+def set_older_aside(command: click.Command, arguments: Sequence[str]) -> None:
+    """Rename what a command would have replaced, if its arguments are wrong.
 
     Not where another run is writing to the folder: it does so itself.
     """
     files, default, keeping = WRITES.get(command.callback, ((), None, ""))
-    out = _out_of(words, default)
+    out = _out_of(arguments, default)
     keeps = next((each for each in command.params if each.name == keeping), None)
-    if keeps is not None and any(word.partition("=")[0] in keeps.opts for word in words):
+    if keeps is not None and any(word.partition("=")[0] in keeps.opts for word in arguments):
         return
     if out is None or not out.is_dir():
         return
@@ -119,9 +119,9 @@ def set_older_aside(command: click.Command, words: Sequence[str]) -> None:
             say(_moved_in_words(moved))
 
 
-def _out_of(words: Sequence[str], default: Path | None) -> Path | None:
+def _out_of(arguments: Sequence[str], default: Path | None) -> Path | None:
     """Find --out among words that may make no sense otherwise."""
-    out, options = default, list(words)
+    out, options = default, list(arguments)
     if "--" in options:
         options = options[: options.index("--")]
     for word, following in zip(options, [*options, ""][1:], strict=True):

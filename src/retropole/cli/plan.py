@@ -127,7 +127,7 @@ def plan(
 
     config = RunConfig(**options)
     if options["at_m"] is not None and options["need_m"] is None:
-        raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
+        raise click.UsageError("--at-m is the distance at which --need-cm applies: give both")
     if (xyz is None) != (rpy_deg is None) or (xyz is not None and pose is not None):
         raise click.UsageError("give --xyz and --rpy-deg together, or --pose FILE, not both")
     wish = Wish(poles, placements, length, config.radius_m, config.need, allowed, forbidden)

@@ -80,13 +80,13 @@ class _OrSite(Brief, click.Group):
     def make_context(
         self, info_name: str | None, args: list[str], *rest: Any, **extra: Any
     ) -> click.Context:
-        """Read the words of either command."""
+        """Read the arguments of either command."""
         if args[:1] == ["site"]:
             return simulate_site.make_context(f"{info_name} site", args[1:], *rest, **extra)
         return super().make_context(info_name, args, *rest, **extra)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the words of a pair as a plain command does: a scene is no command."""
+        """Read the arguments of a pair as a plain command does: a scene is not a command."""
         return click.Command.parse_args(self, ctx, args)
 
 

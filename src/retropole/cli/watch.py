@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 CHECKED = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 
 GRACE = 2.0
-"""What is under way when a signal comes may take so long, s: then it waits for a file that never
+"""Time that work under way may take after a signal, s: then it waits for a file that never
 ends, or for a program that does not answer, and is broken off."""
 
 
@@ -52,7 +52,7 @@ class Stopped(Event):
 
     @contextmanager
     def breaking(self) -> Iterator[None]:
-        """Break off what is within where it goes on for `GRACE` after a signal."""
+        """Break off the work within if it goes on for `GRACE` after a signal."""
         self._can_break = True
         try:
             with suppress(BrokenOff):
@@ -178,7 +178,7 @@ def watch(
     from ..result import encode
 
     if options["at_m"] is not None and options["need_m"] is None:
-        raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
+        raise click.UsageError("--at-m is the distance at which --need-cm applies: give both")
     if options["carried"] and (plan is not None or stored is not None):
         raise click.UsageError("--plan and --check need fixed LiDARs and poles, without --carried")
     texts = target, source
@@ -325,9 +325,9 @@ def _view(quiet: bool) -> Iterator[Callable[[WatchDoc], None]]:
         last, noted, has_skipped = [""], list[str](), set[str]()
 
         def line(said: WatchDoc) -> None:
-            for words in said.words:
-                if words not in noted:
-                    say(words)
+            for message in said.words:
+                if message not in noted:
+                    say(message)
             noted[:] = said.words
             # How many changes all the time: the first says it.
             for lidar in said.lidars:

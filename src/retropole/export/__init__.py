@@ -1,6 +1,6 @@
 """The transform in the forms that other programs take, and the way back.
 
-`FORMATS` has a writer and a reader for each; `read_transform` reads any of them, a result
+`FORMATS` has a writer and a reader for each; `read_transform` reads any format, a result
 document, or the truth that ``retropole simulate`` writes. `TREE_FORMATS` hold the frames of a whole
 site, which `read_tree` gives.
 """
@@ -166,9 +166,8 @@ def read_transform(
     fmt
         Name of the format; None or ``auto`` to recognize it by the suffix and the content.
     parent, child
-        Which transform to take where the file names its frames, also over several transforms of
-        it; what the frames are called where it does not (then ``target`` and ``source`` unless
-        given).
+        Which transform to take where the file names its frames, also over several transforms of it;
+        names of the frames if the file has none (``target`` and ``source`` unless given).
 
     Returns
     -------
@@ -280,7 +279,7 @@ def read_tree(path: Path) -> Tree | None:
             return None
     level, level_file = None, file.with_name(LEVEL_FILE)
     if document.status != "refused" and level_file.exists():
-        # It loads the steps that made it, which nothing else here needs.
+        # It loads the steps that made it, which is not needed here otherwise.
         from ..result.level import level_of
 
         with naming(level_file):
@@ -314,15 +313,15 @@ def put_into_robot(file: Path, transform: Transform) -> tuple[bytes, str]:
         for urdf in (data, robot)
     )
     assert after is not None
-    words = f"the joint from {after.parent} to {after.child} is"
+    joint = f"the joint from {after.parent} to {after.child} is"
     if before is None:
-        return robot, f"{words} new"
+        return robot, f"{joint} new"
     try:
         difference = se3.difference(before.pose(), after.pose())
     except ReadError as fault:
-        return robot, f"{words} replaced: before, {fault}"
+        return robot, f"{joint} replaced: before, {fault}"
     change = f"{error(difference.translation)} and {error(difference.rotation, 'rad')}"
-    return robot, f"{words} changed by {change}"
+    return robot, f"{joint} changed by {change}"
 
 
 def detect_format(path: Path, data: bytes) -> str:

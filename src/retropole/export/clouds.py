@@ -208,7 +208,7 @@ def _text(lines: Sequence[str], mark: str, length: int = 0) -> bytes:
 def _counted(
     file: BinaryIO, records: Callable[[Points], NDArray[Any]], about: About, *, ply: bool
 ) -> Iterator[Callable[[Points, float], None]]:
-    """Write records after a header that says how many they are, and is completed at the end."""
+    """Write records after a header that states their number, and is completed at the end."""
     count, mark = 0, "comment" if ply else "#"
     kind = records(np.zeros(0, POINT)).dtype
     fields = [(name, own.str[1:]) for name, (own, *_) in (kind.fields or {}).items()]
@@ -258,7 +258,7 @@ def _ply(file: BinaryIO, about: About) -> Iterator[Callable[[Points, float], Non
 def _las(file: BinaryIO, about: About, packed: bool) -> Iterator[Callable[[Points, float], None]]:
     """Write LAS 1.4: its LiDAR as ``point_source_id``, counted from 1, since 0 is the file itself.
 
-    What LAS has no place for, the ring and the intensity on the sensor's own scale, are extra
+    What LAS has no place for, the ring and the intensity on the sensor's scale, are extra
     dimensions.
     """
     try:
@@ -275,8 +275,8 @@ def _las(file: BinaryIO, about: About, packed: bool) -> Iterator[Callable[[Point
     if about.wkt:
         record = b"" + about.wkt.encode() + b"\0"
         header.vlrs.append(VLR("LASF_Projection", 2112, "OGC WKT coordinate system", record))
-    words = "\n".join(comments_of(about)).encode()[:65_535]
-    header.vlrs.append(VLR("LASF_Spec", 3, "Text area description", words))
+    comments = "\n".join(comments_of(about)).encode()[:65_535]
+    header.vlrs.append(VLR("LASF_Spec", 3, "Text area description", comments))
     extra: list[tuple[str, type]] = [("ring", np.uint16)] * about.has_ring
     extra += [("raw_intensity", np.float32)] * about.has_intensity
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in extra])
@@ -289,7 +289,7 @@ def _las(file: BinaryIO, about: About, packed: bool) -> Iterator[Callable[[Point
         away = np.abs(points["xyz"] - header.offsets).max()
         if away >= reach:
             raise UsageError(
-                f"a point is {away / 1000:,.0f} km from the first ones, a LAS file holds up to "
+                f"a point is {away / 1000:,.0f} km from the first ones, a LAS file reaches up to "
                 f"{reach / 1000:,.0f} km: remove it with --crop"
             )
         record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)

@@ -1,7 +1,7 @@
-"""JSON and YAML: our own transform file, the result document, the truth of a simulation, Autoware.
+"""JSON and YAML: retropole's transform file, result document, truth of a simulation; Autoware.
 
 Autoware keeps the poses of its sensors in ``sensors_calibration.yaml`` as ``parent: child: {x, y,
-z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a parser of our own
+z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: another parser
 would have to know flow mappings, anchors and quotes to read what others wrote. The frames of a site
 are written as JSON too, and its LiDARs on the map as GeoJSON.
 """
@@ -166,8 +166,8 @@ def found_in_result(result: ResultDoc) -> Found:
     """
     T = result.T_target_source
     if T is None:
-        words = "the calibration was refused, there is no transform: "
-        raise refusal_of(result.reasons, words)
+        prefix = "the calibration was refused, there is no transform: "
+        raise refusal_of(result.reasons, prefix)
     # Target and source of each placement, in turn.
     target, source = ({each.frame_id for each in result.inputs[k::2]} for k in (0, 1))
     parent = child = None
@@ -270,7 +270,7 @@ def read_yaml(data: bytes) -> list[Found]:
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if isinstance(event, yaml.AliasEvent) or depth > DEEPEST_YAML:
-                what = "aliases" if depth <= DEEPEST_YAML else "so many levels"
+                what = "aliases" if depth <= DEEPEST_YAML else "deeper levels"
                 raise ReadError(f"line {event.start_mark.line + 1}: {what} are not read")
         # Nodes, not values: a key given twice would be lost in a dict, and 1e-3 be a string.
         roots = [root for root in yaml.compose_all(text, Loader=yaml.SafeLoader) if root.value]

@@ -1,7 +1,8 @@
 """Configurations of LiDAR drivers, which then publish the source's points in the target's frame.
 
 Each driver applies ``p' = Rz(yaw) Ry(pitch) Rx(roll) p + t`` to the points in the frame that it
-publishes them in otherwise: ``T_target_source`` where the recordings are its own. Units differ.
+publishes them in otherwise: ``T_target_source`` if the recordings are from that driver. Units
+differ.
 """
 
 from __future__ import annotations
@@ -114,11 +115,11 @@ def read_ouster(data: bytes) -> list[Found]:
     found = re.findall(r"(?:-e|--extrinsics)\s+[\"']([-+\d.eE ,]+)[\"']", text)
     if len(found) != 1:
         raise ReadError(f'expected one -e "X Y Z QX QY QZ QW" of {OUSTER}, found {len(found)}')
-    words = found[0].replace(",", " ").split()
-    if len(words) != 7:
-        raise ReadError(f"expected 7 numbers X Y Z QX QY QZ QW, got {len(words)}")
+    numbers = found[0].replace(",", " ").split()
+    if len(numbers) != 7:
+        raise ReadError(f"expected 7 numbers X Y Z QX QY QZ QW, got {len(numbers)}")
     try:
-        values = np.array(list(map(float, words)))
+        values = np.array(list(map(float, numbers)))
     except ValueError as error:
         raise ReadError(f"{found[0]!r} is not a row of numbers: {said(error)}") from None
     return [Found(*names_in_words(text), lambda: from_quaternion(values[:3], values[3:]))]

@@ -1,8 +1,8 @@
 """Clouds and transforms as messages of ROS 2: both clouds as an MCAP file, ``/tf_static`` by DDS.
 
-Foxglove and RViz draw the file (the extra ``ros``) as it is: each cloud is in its own frame,
-and ``/tf_static`` places the frames. The types are those of ROS 2 Humble, which later ones have
-kept. To publish takes no ROS (the extra ``live``).
+Foxglove and RViz draw the file (the extra ``ros``) as it is: each cloud is in the frame of its
+LiDAR, and ``/tf_static`` places the frames. The types are those of ROS 2 Humble, which later ones
+have kept. To publish takes no ROS (the extra ``live``).
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def frames_of(read: ReadRecording) -> list[Frame]:
 
 
 def write_mcap(transform: Transform, target: Sequence[Frame], source: Sequence[Frame]) -> bytes:
-    """Write the frames of both LiDARs, each in its own frame, and the transform between them.
+    """Write both LiDARs' frames, each in that LiDAR's frame, and the transform between them.
 
     Coordinates and intensities are float32 where that loses nothing, else float64. Messages have
     the times of recording where both recordings have them; else they start at zero.

@@ -55,12 +55,12 @@ def _flags(transform: Transform) -> list[str]:
     """Arguments of the ROS 2 program, unquoted."""
     if "--ros-args" in (transform.parent, transform.child):
         raise UsageError("ROS 2 reads --ros-args as an option, not as the name of a frame")
-    words = [
+    arguments = [
         word
         for name, value in pose_values(transform, QUATERNION).items()
         for word in (f"--{name}", value)
     ]
-    return [*words, "--frame-id", transform.parent, "--child-frame-id", transform.child]
+    return [*arguments, "--frame-id", transform.parent, "--child-frame-id", transform.child]
 
 
 def write_ros2(transform: Transform) -> str:
@@ -89,12 +89,12 @@ def write_launch(*transforms: Transform, notes: Sequence[str] = ()) -> str:
 
 def read_ros1(data: bytes) -> list[Found]:
     """Read every ``static_transform_publisher`` line of `tf2_ros` in a shell script."""
-    return [_positional(words) for words in _commands(data)]
+    return [_positional(arguments) for arguments in _commands(data)]
 
 
 def read_ros2(data: bytes) -> list[Found]:
     """Read every ``static_transform_publisher`` line in a shell script, with flags or without."""
-    return [_ros2_arguments(words) for words in _commands(data)]
+    return [_ros2_arguments(arguments) for arguments in _commands(data)]
 
 
 def read_launch(data: bytes) -> list[Found]:
@@ -118,12 +118,12 @@ def read_launch(data: bytes) -> list[Found]:
         if not isinstance(program, ast.Constant) or program.value != PROGRAM:
             continue
         try:
-            words = ast.literal_eval(given["arguments"])
+            arguments = ast.literal_eval(given["arguments"])
         except (KeyError, TypeError, ValueError):
-            words = None
-        if not isinstance(words, list | tuple):
+            arguments = None
+        if not isinstance(arguments, list | tuple):
             raise ReadError(f"line {call.lineno}: the arguments of {PROGRAM} are not plain strings")
-        found.append(_ros2_arguments([str(word) for word in words]))
+        found.append(_ros2_arguments([str(word) for word in arguments]))
     return found
 
 
@@ -143,13 +143,13 @@ def _read_launch_xml(data: bytes) -> list[Found]:
                 f"node {name!r}: its args contain $(…); replace them by numbers and names"
             )
         try:
-            words = shlex.split(args)
+            arguments = shlex.split(args)
         except ValueError as error:
             raise ReadError(f"node {name!r}: {said(error)}") from None
         if "exec" in of:
-            found.append(_ros2_arguments(words))
+            found.append(_ros2_arguments(arguments))
         else:
-            found.append(_positional(words, of.get("pkg", "")))
+            found.append(_positional(arguments, of.get("pkg", "")))
     return found
 
 
@@ -160,30 +160,30 @@ def _commands(data: bytes) -> list[list[str]]:
         if PROGRAM not in line:
             continue
         try:
-            words = shlex.split(line, comments=True)
+            arguments = shlex.split(line, comments=True)
         except ValueError as error:
             raise ReadError(f"{line.strip()!r}: {said(error)}") from None
-        if PROGRAM not in words:
+        if PROGRAM not in arguments:
             continue
-        at = words.index(PROGRAM)
-        if at and words[at - 1] == "tf":
+        at = arguments.index(PROGRAM)
+        if at and arguments[at - 1] == "tf":
             raise ReadError(
                 f"'tf {PROGRAM}' has a period; only that of tf2_ros is read: leave out the "
                 "period and write tf2_ros"
             )
-        commands.append(words[at + 1 :])
+        commands.append(arguments[at + 1 :])
     return commands
 
 
-def _ros2_arguments(words: list[str]) -> Found:
+def _ros2_arguments(arguments: list[str]) -> Found:
     """Read flags as `tf2_ros` does: what is not given is zero, no rotation is the identity."""
-    if not any(word.startswith("--") for word in words):
-        return _positional(words)
-    flags, values = words[::2], words[1::2]
+    if not any(word.startswith("--") for word in arguments):
+        return _positional(arguments)
+    flags, values = arguments[::2], arguments[1::2]
     names = [flag.removeprefix("--") for flag in flags]
     known = {*TRANSLATION_KEYS, *QUATERNION, *RPY, "frame-id", "child-frame-id"}
     if len(flags) != len(values) or not set(names) <= known or len(set(names)) < len(names):
-        raise ReadError(f"cannot read the arguments of {PROGRAM}: {' '.join(words)}")
+        raise ReadError(f"cannot read the arguments of {PROGRAM}: {' '.join(arguments)}")
     given = dict(zip(names, values, strict=True))
     parent, child = given.pop("frame-id", None), given.pop("child-frame-id", None)
     if not parent or not child:
@@ -196,19 +196,19 @@ def _ros2_arguments(words: list[str]) -> Found:
     return Found(parent, child, lambda: pose_of(full))
 
 
-def _positional(words: list[str], package: str = "tf2_ros") -> Found:
+def _positional(arguments: list[str], package: str = "tf2_ros") -> Found:
     """Read ``x y z qx qy qz qw parent child`` or ``x y z yaw pitch roll parent child``.
 
     The program of the package `tf` takes a period in milliseconds as one more.
     """
     more = package == "tf"
-    if len(words) not in (8 + more, 9 + more):
+    if len(arguments) not in (8 + more, 9 + more):
         raise ReadError(
             f"{PROGRAM} of {package} takes {8 + more} or {9 + more} arguments, this has "
-            f"{len(words)}: x y z yaw pitch roll, or x y z qx qy qz qw, parent child"
+            f"{len(arguments)}: x y z yaw pitch roll, or x y z qx qy qz qw, parent child"
             f"{' period' if more else ''}"
         )
-    *numbers, parent, child = words[: len(words) - more]
+    *numbers, parent, child = arguments[: len(arguments) - more]
 
     def pose() -> Array:
         values = np.array([to_float(word) for word in numbers])

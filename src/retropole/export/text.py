@@ -73,19 +73,19 @@ def read_matrix(data: bytes) -> list[Found]:
     is_printed = len(printed) == 1
     body = _WRAPPING.sub(" ", printed[0] if is_printed else text)
     body = re.sub(r"#.*|//.*|\[[^][]*\]", _without_notes, body)
-    words = re.sub(r"[][,;]", " ", body).split()
-    if len(words) != 16:
+    given = re.sub(r"[][,;]", " ", body).split()
+    if len(given) != 16:
         raise ReadError(
-            f"a 4×4 matrix has 16 numbers, this has {len(words)}; a pose of 6 or 7 numbers is read "
+            f"a 4×4 matrix has 16 numbers, this has {len(given)}; a pose of 6 or 7 numbers is read "
             "if each has a name, one per line, as 'x: 1.5': x y z and qx qy qz qw, or roll_deg "
             "pitch_deg yaw_deg"
         )
-    values = np.array([to_float(word) for word in words]).reshape(4, 4)
+    values = np.array([to_float(word) for word in given]).reshape(4, 4)
     return [Found(parent, child, lambda: values, is_of_lidars=is_printed)]
 
 
 def _without_notes(bracketed: re.Match[str]) -> str:
-    """Leave out a comment; what is in brackets stays where it is numbers alone."""
+    """Leave out a comment; text in brackets stays if it is only numbers."""
     numbers = re.fullmatch(r"(?i)\[((?:[-+\d.e,;\s]|nan|inf)*)\]", bracketed[0])
     return f" {numbers[1]} " if numbers else " "
 

@@ -62,7 +62,7 @@ class Transform:
         ``R_true = Exp(φ) R``, ``t_true = t + δ``.
     roles
         What parent and child are in the calibration: ``("target", "source")``, or swapped
-        after `inverted`; ``("parent", "child")`` where the parent is no LiDAR (`mounted`).
+        after `inverted`; ``("parent", "child")`` if the parent is not a LiDAR (`mounted`).
     verdict
         Of the calibration that it is from, on one line (`result.verdict_line`);
         empty if not known.
@@ -329,7 +329,7 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
     Raises
     ------
     ReadError
-        If none fits, several do, or the one is no rigid transform.
+        If none fits, several do, or the only one is not a rigid transform.
     UsageError
         If a LiDAR is given the name of a frame that is none (`NO_LIDARS`).
     """

@@ -158,7 +158,7 @@ def found_in_site(document: SiteDoc) -> list[Found]:
 
 
 def grid_of(tree: Tree) -> Grid | None:
-    """What the projected system of a site does to lengths in the middle of it; None without one."""
+    """What the projected system of a site does to lengths in its middle; None without one."""
     if tree.frame.epsg is None:
         return None
     (at,) = geodetic(tree.frame, tree.places.mean(axis=0, keepdims=True))
@@ -197,7 +197,7 @@ def notes_of(tree: Tree) -> list[str]:
         notes.append(f"{MAP}: the frame of the survey ({system}), full coordinates")
     if grid is None:
         return [printable(note) for note in notes]
-    notes += [grid.words, "heights are as surveyed, treated as heights above the ellipsoid"]
+    notes += [grid.text, "heights are as surveyed, treated as heights above the ellipsoid"]
     if frame.geodetic is None:
         notes.append(
             f"{SITE}: coordinates of the grid less an offset: lengths are not those on the ground"

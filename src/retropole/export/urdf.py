@@ -1,4 +1,4 @@
-"""URDF: a fixed joint of its own, or put into a robot that else stays as it is.
+"""URDF: a separate fixed joint, or put into a robot that else stays as it is.
 
 The origin of a joint is the pose of the child in the parent: ``T_parent_child``. Its ``rpy`` are
 angles about fixed axes, x then y then z. XML that others wrote is read by the standard library and
@@ -119,10 +119,10 @@ def _check_fixed(joint: Element) -> None:
 
 
 def _three(text: str, name: str) -> Array:
-    words = text.split()
-    if len(words) != 3:
+    numbers = text.split()
+    if len(numbers) != 3:
         raise ReadError(f"{name}={text!r} is not three numbers")
-    return np.array([to_float(word) for word in words])
+    return np.array([to_float(word) for word in numbers])
 
 
 def put_into_urdf(data: bytes, transform: Transform) -> bytes:
@@ -143,16 +143,16 @@ def put_into_urdf(data: bytes, transform: Transform) -> bytes:
     Returns
     -------
     bytes
-        The file with the joint, in its own encoding, indentation and line endings.
+        The file with the joint, in the original encoding, indentation and line endings.
 
     Raises
     ------
     MissingExtraError
         Where lxml is not installed.
     ReadError
-        If it is no well-formed URDF, and where a joint on the way moves or is an expression.
+        If it is not a well-formed URDF, or if a joint on the way moves or is an expression.
     UsageError
-        If it is unclear what to change: the parent is no link, or is not connected with the
+        If it is unclear what to change: the parent is not a link, or is not connected with the
         link that the child's joint starts at; the child has several joints; its joint moves or is
         an expression; or it would close a circle.
     """
@@ -198,12 +198,12 @@ def _links(robot: Element) -> list[str]:
 
 
 def _check_parent(robot: Element, transform: Transform) -> None:
-    """Refuse where the parent is no link, or is below the child: a joint would close a circle."""
+    """Refuse if the parent is not a link, or is below the child: a joint would close a circle."""
     parent, child, links = transform.parent, transform.child, _links(robot)
     if parent not in links:
         raise UsageError(
             f"the robot has no link {parent!r} for the parent; it has {len(links)}: "
-            f"{', '.join(links[:20]) or 'none'}. Name the LiDAR's own link, with --parent"
+            f"{', '.join(links[:20]) or 'none'}. Name the link of the LiDAR, with --parent"
         )
     way = way_between(_found(robot), child, parent)
     if way is not None and not way.of_parent:

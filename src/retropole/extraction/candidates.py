@@ -27,8 +27,8 @@ from .sensor_pattern import beams_by
 from .surroundings import Surroundings, along_the_sweeps
 
 MIN_CANDIDATE_LENGTH = 0.16
-"""Smallest extent of a candidate pole along its line, metres: three rings of a 16-beam sensor, 2°
-apart, at 2.3 m."""
+"""Smallest extent of a candidate pole along its line, metres: three rings of a 16-beam sensor,
+spaced by 2°, at 2.3 m."""
 
 POINTING = 0.002
 """Beyond `NEAR_POLES_END`, the pointing error of beams scatters the returns of a

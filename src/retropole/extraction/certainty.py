@@ -1,6 +1,6 @@
 """What makes a line that could be a pole a candidate: thick, interrupted, seen end on, or worn.
 
-Such a line is no pole for what confirmed poles are used for, and is kept among the candidates. See
+Such a line is not used as a confirmed pole, and is kept among the candidates. See
 docs/evidence/detection.md, Certain or doubtful.
 """
 
@@ -70,7 +70,7 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
 
 
 def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
-    """A pole has no gap as long as half of it, except between rings that are far from each
+    """A pole has no gap of half its length, except between rings that are far from each
     other."""
     order = np.argsort(line.along, kind="stable")
     gaps = np.diff(line.along[order])

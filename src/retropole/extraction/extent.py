@@ -1,7 +1,7 @@
-"""Whether the points of a cloud can be what a LiDAR saw from where its beams are said to start.
+"""Whether the points of a cloud can be those of a LiDAR at the stated beam origin.
 
 Clouds in the frame of a map are far from its origin. Where the LiDAR was, only the file or its
-rings can say; a pose depends on it, and so does what is known of it.
+rings can say; a pose depends on it, and so does its covariance.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from .lines import MIN_POLE_POINTS
 
 FARTHEST_ORIGIN = 10_000.0
 """No pose is given about an origin that is farther from the points, metres. One that is known to
-1 mm and 0.1 mrad has, 10 km away, a covariance whose least and largest eigenvalue are a factor of
-1e-14 apart: doubles resolve no more. The LiDAR with the longest range measures 6 km (RIEGL VZ-6000,
-data sheet)."""
+1 mm and 0.1 mrad has, 10 km away, a covariance whose least and largest eigenvalue differ by
+a factor of 1e-14: doubles resolve no more. The LiDAR with the longest range measures 6 km (RIEGL
+VZ-6000, data sheet)."""
 
 THINNEST_POLE = 0.0004
 """No pole is seen where it is thinner, rad: 100 m away with a radius of 2 cm. The narrowest beam of
@@ -37,7 +37,7 @@ def check_coordinates(cloud: PointCloud) -> None:
         ``far_from_lidar`` where one is beyond `FARTHEST`, which no map reaches.
     """
     _check_within(
-        cloud, FARTHEST, "the file is damaged, or a field does not contain what its name says"
+        cloud, FARTHEST, "the file is damaged, or the content of a field is not that of its name"
     )
 
 
@@ -54,7 +54,7 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     Raises
     ------
     Refusal
-        ``far_from_lidar`` where hardly a point is so near to the beam origin that a pole could be
+        ``far_from_lidar`` if hardly a point is near enough to the beam origin for a pole to be
         seen there, and where a coordinate is beyond `FARTHEST_ORIGIN`.
     """
     check_coordinates(cloud)
@@ -72,7 +72,7 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
         odd = oddity_of(cloud)
         if odd is not None and odd.is_map:
             rest = (
-                f"; {odd.words}; give it in the LiDAR's frame, or subtract the LiDAR's position "
+                f"; {odd.text}; give it in the LiDAR's frame, or subtract the LiDAR's position "
                 "from all points"
             )
         else:

@@ -45,9 +45,9 @@ from .sensor_pattern import NEAR_POLES_END, Beams
 from .surroundings import SHORT_LENGTH, Surroundings, surroundings_of
 
 MAX_POLES = 8
-"""Poles removed from one group at most, and candidates that are kept of a cloud, the most probable
-ones; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
-effect."""
+"""Largest number of poles removed from one group, and of candidates kept of a cloud, the most
+probable ones; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17:
+no effect."""
 
 
 class LineSearch(NamedTuple):
@@ -58,13 +58,13 @@ class LineSearch(NamedTuple):
     radius, beams
         Of the poles, metres, and what is known of the beams that hit them.
     failure_of
-        Says why a line in its surroundings is none of them; None if it is one.
+        Gives the reason why a line in its surroundings is no such line; None if it is.
     fewest, shortest
         Returns that it needs, and extent along it, metres.
     least_odds
         Log-odds that it is a pole (`odds`), at least.
     proposals
-        Lines that are tried at most.
+        Largest number of lines that are tried.
     rooms
         About the radius in which its returns lie, metres: in the next where it fails in one.
     shell
@@ -95,7 +95,7 @@ class Judged(NamedTuple):
 
 
 def parts_of(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], Failure | None]:
-    """Split a large cluster without the bright surfaces in it; say where these are most of it."""
+    """Split a large cluster without the bright surfaces in it; report if most of it is these."""
     if len(cluster) <= MANY:
         return [cluster], None
     flat = on_surface(cloud.xyz[cluster])

@@ -24,12 +24,12 @@ from .sensor_pattern import RMS_PER_RADIUS, UNKNOWN, Beams, beam_scatter
 
 LINK = 1.2
 """Points with no longer step between them are one cluster, metres. Longer than two ring spacings of
-a 16-beam sensor, 2° apart, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring does not divide a
+a 16-beam sensor, 2° each, up to 17 m (2 · 17 m · tan 2° = 1.19 m): a lost ring does not divide a
 pole. Sensitivity at 0.84: 6 poles lost, 3 fewer false; at 1.68: 1 fewer false."""
 
 MAX_NEIGHBOUR_DISTANCE = 0.35
 """A return from the edge of the tube to this distance of the line is its neighbour, metres: the
-spacing of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17
+spacing of rings of 2° at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17
 poles lost, 5 of them recorded posts, 16 fewer false."""
 
 MANY = 400
@@ -80,7 +80,7 @@ def clusters(xyz: Array, link: float) -> list[IntArray]:
 
 
 def on_surface(xyz: Array) -> BoolArray:
-    """Find the points inside a bright surface: wide in two directions about each of them.
+    """Find the points inside a bright surface: wide in two directions about each point.
 
     Saturated ground and large signs are thousands of points, in which chance lines abound. Lines
     are searched for among the remaining points.
@@ -169,7 +169,7 @@ Sensitivity at 3: 9 more false; at 6: 13 fewer false."""
 
 FIT_SIGMAS = 2.5
 """Distance from the line to which points are kept, in standard deviations: 98.8 % of a normal
-distribution on either side of it. Sensitivity at 1.75: 7 more false; at 3.5: 8 fewer false."""
+distribution on either side. Sensitivity at 1.75: 7 more false; at 3.5: 8 fewer false."""
 
 FIT_ROOM = 0.02
 """Smallest room about the pole's radius, however little its points scatter, metres: 2 σ of the
@@ -513,7 +513,7 @@ def _medians(values: Array, inside: BoolArray) -> Array:
 
 
 def _principal_lines(xyz: Array, inside: BoolArray) -> tuple[Array, Array]:
-    """`principal_line` of those points (N, 3) that are inside, for each row (G, N) of them."""
+    """`principal_line` of those points (N, 3) that are inside, for each row (G, N)."""
     row, column = np.nonzero(inside)
     count = np.count_nonzero(inside, axis=1)
     first, points = np.cumsum(count) - count, xyz[column]

@@ -1,4 +1,4 @@
-"""How probable it is that a line is a pole, by what it looks like and by what is about it.
+"""How probable it is that a line is a pole, by its shape and its surroundings.
 
 The log-odds are linear in a few measures, with weights that a logistic regression gives.
 """
@@ -28,7 +28,7 @@ def measures_of(around: Surroundings, radius: float) -> Array:
     -------
     Array
         (8,) one; the logarithms of its length over its width, and of the number of bright returns
-        close to it for each of its own, as multiples of `LITTLE`; the share of its length along
+        close to it for each on the line, as multiples of `LITTLE`; the share of its length along
         which bright ones are near it at all, along which others are close, and along which others
         are near it that are not on a wall behind it; and the share of `SHORT_LENGTH` along which it
         goes on without tape beyond the end where it does less, and beyond the other.

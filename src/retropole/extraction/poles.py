@@ -53,14 +53,14 @@ def extract_poles(
     radius: float = DEFAULT_RADIUS,
     is_part: bool = False,
 ) -> Detection:
-    """Find the taped poles in a cloud, and say of every other bright thing why it is not one.
+    """Find the taped poles in a cloud, and state why every other bright object is not one.
 
     Parameters
     ----------
     cloud
         Points with intensity.
     sensor
-        What recorded it; gives the threshold where none is given. None asks the cloud itself.
+        What recorded it; gives the threshold where none is given. None takes that of the cloud.
     threshold
         Intensity from which a return is retro-reflective.
     radius
@@ -79,9 +79,9 @@ def extract_poles(
     Raises
     ------
     Refusal
-        ``no_intensity`` where the cloud has none, or the same one everywhere,
-        ``threshold_too_low`` where most of it passes the threshold, ``far_from_lidar``, and
-        ``wrong_sensor`` where its rings are not those of the sensor.
+        ``no_intensity`` if the cloud has none, or the same one everywhere, ``threshold_too_low`` if
+        most of it passes the threshold, ``far_from_lidar``, and ``wrong_sensor`` if its rings are
+        not those of the sensor.
     """
     if cloud.intensity is None or len(cloud) == 0 or np.ptp(cloud.intensity) == 0:
         raise _without_intensity(cloud)

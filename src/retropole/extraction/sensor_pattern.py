@@ -101,7 +101,7 @@ MOST_LINES = 8
 
 MAX_CONE_SPREAD = float(np.radians(0.1))
 """Half of the points of a ring lie within this of one elevation, rad, where a LiDAR turns about one
-axis: its rings are cones. Offsets of the lasers from the axis make up to 0.05° of it, and lines
+axis: its rings are cones. Offsets of the lasers from the axis make up to 0.05°, and lines
 that a mirror or a lens bends are off by degrees."""
 
 FEWEST_POINTS = 1000

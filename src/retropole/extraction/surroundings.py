@@ -4,9 +4,9 @@ Stripes, edges of signs and rings of a scan are thin and straight like a pole, b
 something. A pole has free space around it. Points about it may be a second pole, or a wall behind
 it.
 
-A band is worn, or held, as by a person: the body continues above and below it, with free space
-around. A pole reaches the ground and is as high as a person, so that nothing near it continues
-beyond both of its ends. A wall does, but has no end next to the line either.
+A band is on the body or in the hand of a person: the body continues above and below it, with free
+space around. A pole reaches the ground and is as high as a person, so that nothing near it
+continues beyond both of its ends. A wall does, but has no end next to the line either.
 
 What *Sensitivity* means at a constant: docs/evidence/detection.md.
 """
@@ -157,7 +157,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
 
 SHORT_LENGTH = 0.8
 """A line that may be shorter than this, metres, is short and has strict limits: edges of signs and
-of lamps are. It is the least length of tape that the advice in `reasons` asks for. Sensitivity at
+of lamps are. It is the least length of tape that the advice in `reasons` requires. Sensitivity at
 0.56: 2 more found, 13 more false; at 1.12: 3 poles lost, 4 fewer false."""
 
 PIECES = 8
@@ -268,7 +268,7 @@ def surroundings_of(
 
 
 def cluttered_share(line: Line, places: Array, density: float) -> float:
-    """Share of the line's pieces with ``density`` or more neighbours for each point of its own.
+    """Share of the line's pieces with ``density`` or more neighbours for each point of the line.
 
     Pieces without points of the line are not used; ``places`` (K,) are the positions of the
     neighbours along it.
@@ -288,7 +288,7 @@ def piece_of(places: Array, low: float, high: float) -> IntArray:
 
 
 BODY_REACH = 0.65
-"""Largest distance of a body from its band, metres: the band held at arm's length, half a metre,
+"""Largest distance of a body from its band, metres: the band at arm's length, half a metre,
 and a body 0.3 m deep, half of which is seen."""
 
 AIR = 1.1
@@ -335,7 +335,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
         "on_a_body",
         f"{counted(count, 'return')} up to {BODY_REACH:g} m next to it "
         f"{'goes' if count == 1 else 'go'} beyond both its ends, with free space around "
-        "them: a band that a person wears or holds",
+        "them: a band on a person's body or in the hand",
     )
 
 
@@ -349,8 +349,8 @@ def surroundings_failure(around: Surroundings) -> Failure | None:
     """Find the object that a line is part of; None if it is isolated.
 
     The line is cut into pieces, and in each the number of returns next to it is compared with that
-    on it. A stripe on a wall has the wall next to it all along. A pole that is held or touched at
-    some point does not; the stray returns about a bright edge are few; and the wall that a pole
+    on it. A stripe on a wall has the wall next to it all along. A pole that is gripped or touched
+    at some point does not; the stray returns about a bright edge are few; and the wall that a pole
     leans on passes behind it.
     """
     return (
@@ -373,7 +373,7 @@ def retro_clutter(around: Surroundings) -> Failure | None:
     return Failure(
         "part_of_a_surface",
         f"along {share:.0%} of it other retro-reflective returns lie {_where(around)}: a plate, "
-        "a stripe or bright ground, not a free-standing pole",
+        "a stripe or bright ground, not an isolated pole",
     )
 
 
@@ -399,7 +399,7 @@ def untaped_between(around: Surroundings) -> Failure | None:
 
 
 def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
-    """Which of the dim returns (K of M) lie farther to the side than the line's own.
+    """Which of the dim returns (K of M) lie farther to the side than the line's points.
 
     The side is the direction across the line in which the dim returns spread most beyond the
     others: noise along the beam is in both. So the sensor's position need not be known.
@@ -432,7 +432,7 @@ def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
     return Failure(
         "part_of_a_surface",
         f"along {share:.0%} of it other returns lie {_where(around)}: a plate, a stripe or an "
-        "edge, not a free-standing pole",
+        "edge, not an isolated pole",
     )
 
 

@@ -133,7 +133,7 @@ def outcomes_of(
     step
         What is done, in a word.
     sites
-        All of them.
+        All sites.
     done
         Outcomes of those without a fault.
     progress

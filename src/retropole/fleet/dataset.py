@@ -198,9 +198,7 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     except (KeyError, msgspec.ValidationError) as error:
         raise ReadError(f"{place}: damaged ({said(error)}){AGAIN}") from None
     if len(found) < len(rows) or any(partition_of(each) != partition for each in found):
-        raise ReadError(
-            f"{place}: damaged (a site appears twice, or in the place of another){AGAIN}"
-        )
+        raise ReadError(f"{place}: damaged (a site appears twice, or in another's place){AGAIN}")
     return found
 
 
@@ -286,7 +284,7 @@ def answered(
         "frame": frame if lidars else None,
         "lidars": lidars,
         "sigma_30m_m": max(at_range, default=None),
-        # When it was made, and how long it took, is no part of the answer.
+        # When it was made, and how long it took, is not part of the answer.
         "document": encode(msgspec.structs.replace(document, created="", seconds={})).decode(),
     }
 

@@ -90,8 +90,8 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     Parameters
     ----------
     scheduler
-        Address of a Dask scheduler: ``tls://host:8786``, with the credentials of Dask's own
-        configuration, or ``tcp://host:8786``.
+        Address of a Dask scheduler: ``tls://host:8786``, with the credentials of the
+        configuration of Dask, or ``tcp://host:8786``.
     workers
         Number of local processes; None for one per processor.
 
@@ -122,11 +122,11 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         "distributed.worker.multiprocessing-method": "spawn",
         # A hundred times a second it would note what the worker does: it waits.
         "distributed.worker.profile.enabled": False,
-        # Servers of pages and metrics run all the same, and ask nobody for a credential: no pages.
+        # Servers of pages and metrics run all the same, and require no credential: no pages.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
-        # With Dask's own, each large array that is freed is given back, and the pages of the next
-        # are cleared: of the replay of a history half as much time again.
+        # With Dask's setting, each large array that is freed is given back, and the pages of the
+        # next are cleared: of the replay of a history half as much time again.
         "distributed.nanny.pre-spawn-environ": {
             **dask.config.get("distributed.nanny.pre-spawn-environ"),
             "MALLOC_TRIM_THRESHOLD_": KEPT,
@@ -341,6 +341,6 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
     except (RetropoleError, OSError, MemoryError) as error:
         why = f"its workers cannot work: {quoting(said(error))}"
     except Exception as error:
-        words = quoting(f"{type(error).__name__}: {said(error)}")
-        raise UsageError(f"a worker cannot do the work: {words}") from None
+        message = quoting(f"{type(error).__name__}: {said(error)}")
+        raise UsageError(f"a worker cannot do the work: {message}") from None
     return unanswered(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None

@@ -67,7 +67,7 @@ class Changed:
     Attributes
     ----------
     site
-        Of the dataset; of many LiDARs, `change` is of a pair of them.
+        Of the dataset; of many LiDARs, `change` is of a pair of LiDARs.
     change
         The history.
     is_current

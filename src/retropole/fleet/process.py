@@ -131,8 +131,8 @@ class Reader:
             attempts += 1
         if outcome is None:
             killed = "killed", f"its process was ended by the system or crashed, {ATTEMPTS} times"
-            code, words = next(iter(why), killed)
-            outcome = unanswered(task.site, code, words, hashed, time.monotonic() - started)
+            code, message = next(iter(why), killed)
+            outcome = unanswered(task.site, code, message, hashed, time.monotonic() - started)
         run = outcome.run and msgspec.structs.replace(outcome.run, attempts=attempts)
         return msgspec.structs.replace(outcome, run=run)
 
@@ -192,8 +192,8 @@ class Reader:
                     if time.monotonic() > deadline:
                         why.append(("time_limit", f"not done within {limit:g} s"))
                     elif self.memory is not None and watched.memory_info().rss > self.memory:
-                        words = f"took more memory than {self.memory / 2**30:.1f} GiB"
-                        why.append(("out_of_memory", words))
+                        message = f"took more memory than {self.memory / 2**30:.1f} GiB"
+                        why.append(("out_of_memory", message))
                     if why:
                         process.kill()
                         return

@@ -135,7 +135,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     overview
         As `overview.overview_of` gives it.
     link
-        Where a site's own report is, as the page links to it; empty for nowhere.
+        Where the report of a site is, as the page links to it; empty for nowhere.
 
     Returns
     -------
@@ -366,8 +366,8 @@ def _listed_changes(overview: Overview, link: Callable[[Seen], str]) -> Html:
         is_moved = any(event.kind != "unsettled" for event in events)
         to_do = (MOVED if is_moved else DISAGREEING) if each.is_current else OUTDATED
         kinds = ", ".join(dict.fromkeys(event.kind for event in events))
-        words = "; ".join(map(each.change.words, events))
-        rows.append((printable(each.change.id), kinds, words, inline(to_do)))
+        changes = "; ".join(map(each.change.describe, events))
+        rows.append((printable(each.change.id), kinds, changes, inline(to_do)))
     links = [link(each.site) for each in overview.changed]
     return _table(CHANGED[2], ("kind", "what changed"), rows, links) if rows else EMPTY
 
@@ -375,8 +375,8 @@ def _listed_changes(overview: Overview, link: Callable[[Seen], str]) -> Html:
 def _site_text(site: Seen) -> tuple[str, str, str]:
     """Name a site, its codes and what is wrong with it: its messages, or what its codes mean."""
     meant = "; ".join(_explained(code)[0] for code in site.codes)
-    words = (site.id, ", ".join(site.codes), " ".join(site.messages) or meant)
-    return printable(words[0]), printable(words[1]), printable(words[2])
+    cells = (site.id, ", ".join(site.codes), " ".join(site.messages) or meant)
+    return printable(cells[0]), printable(cells[1]), printable(cells[2])
 
 
 def _next(site: Seen) -> Html:

@@ -63,7 +63,7 @@ class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
     result
         Place of the stored result that a check compares it with; a calibration takes none.
     time
-        When a list says that it was recorded, ISO 8601, UTC; empty if none does.
+        When it was recorded by a list, ISO 8601, UTC; empty if none does.
     fault
         What is wrong with its line of a list; empty if nothing is.
     """

@@ -154,7 +154,7 @@ def exists(place: str, *, as_folder: bool = False) -> bool:
 
 @contextmanager
 def _file_system(place: str, fault: str) -> Iterator[tuple[Any, str]]:
-    """Open the file system of a place; add the place and the failed action to its errors."""
+    """Open the file system of a path; add the path and the failed action to its errors."""
     system, path = filesystem(place)
     try:
         yield system, path
@@ -389,7 +389,7 @@ def alone_in(folder: str) -> Iterator[None]:
         with run_alone(Path(absolute(folder))):
             yield
         return
-    # Of two runs that say the same of themselves each knows its own.
+    # Of two runs with the same description, each knows its note.
     note, own = below(folder, RUNNING), f"{this_run()}\n{uuid4().hex}\n".encode()
 
     def leave() -> None:

@@ -85,7 +85,7 @@ def opened(
             if schema and has != schema:
                 raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")
             yield file
-        # Values that Python cannot hold: times beyond its calendar, text that is no UTF-8.
+        # Values that Python cannot hold: times beyond its calendar, text that is not UTF-8.
         except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
             raise ReadError(f"{place}: {fault.format(said(error))}{remedy}") from None
 

@@ -81,7 +81,7 @@ CODES: tuple[tuple[type[Exception], str], ...] = (
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker receives: the site, and the key of the row that there is of it.
+    """What a worker receives: the site, and the key of its present row.
 
     With a `check` the site is compared with its stored result, and not calibrated. Of `protocols`
     URLs are followed as by whoever gives it.
@@ -117,7 +117,7 @@ class Outcome(msgspec.Struct, frozen=True, tag=True):
 
 
 def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
-    """Make the task of a site, to be done by a worker that computes as whoever asks does."""
+    """Make the task of a site, for a worker that computes with the same settings as the caller."""
     given = {"environment": environment(), "protocols": other_protocols(), **given}
     return Task(site=site, time_limit=time_limit, **given)
 
@@ -136,7 +136,7 @@ def answer(task: Task, report: Callable[[Hashed], None] = lambda hashed: None) -
     Parameters
     ----------
     task
-        The site, and what there is of it.
+        The site, and its data.
     report
         Called with the hashes of its files before anything is read of what is in them.
 
@@ -168,10 +168,10 @@ def answer(task: Task, report: Callable[[Hashed], None] = lambda hashed: None) -
 def code_of(error: Exception) -> tuple[str, str]:
     """Name what went wrong: its code, and in words."""
     code = next(code for kind, code in CODES if isinstance(error, kind))
-    words = str(error)
+    text = str(error)
     if code in ("system", "out_of_memory", "internal"):
-        words = f"{type(error).__name__}: {words}"
-    return code, quoting(words)
+        text = f"{type(error).__name__}: {text}"
+    return code, quoting(text)
 
 
 def failed(

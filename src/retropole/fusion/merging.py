@@ -196,7 +196,7 @@ def one_of_each(keys: IntArray, points: Rows) -> Kept:
     """Keep one of the points of each cell: that of the least hash, whatever their order.
 
     Each has the same chance, so that it is biased towards no side of the cell; and it is a point
-    that was measured, with its own time, ring and intensity.
+    that was measured, with its time, ring and intensity.
     """
     by = np.column_stack([points["xyz"], points["time"], points["lidar"].astype(np.float64)])
     order = np.lexsort((keys_of(by), keys))

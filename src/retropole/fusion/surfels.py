@@ -33,7 +33,7 @@ MIN_POINTS = 12
 """A surfel has at least this many points of each LiDAR: four times what makes a plane."""
 
 MAX_SURFEL_THICKNESS = 0.05
-"""RMS distance of points from the plane above which they are no surface, metres: single returns
+"""RMS distance of points from the plane above which they are not a surface, metres: single returns
 scatter by up to 0.03 (`sensors.toml`)."""
 
 SAME_NORMAL = float(np.cos(np.radians(15.0)))
@@ -262,7 +262,7 @@ def _across(spread: Array, rays: Array) -> Array:
 
 
 def _in_cell(middle: Array, size: float) -> BoolArray:
-    """Whether a place (C, 3), from the middle of its cell, is in it: so no surface counts twice."""
+    """Whether a place (C, 3), from the middle of its cell, is in it: no surface is used twice."""
     return np.asarray((np.abs(middle) <= size / 2).all(axis=1))
 
 
@@ -270,7 +270,7 @@ def surfels_of(moments: Moments, origins: Array) -> Surfels:
     """Fit surfels: one for each cell and side.
 
     LiDARs that see a cell from one side, with normals that agree, have one together: a thin wall
-    has one on either side. Single rings and what is no surface have none.
+    has one on either side. Single rings and points not on a surface have none.
 
     Parameters
     ----------
@@ -389,7 +389,7 @@ def _kinds(centres: Array, normals: Array, height: float, up: Array) -> IntArray
 def up_by_ground(cloud: PointCloud, T_frame_lidar: Array) -> Array:
     """Find the vertical (3,) in the frame of the pose, by the ground that a LiDAR sees.
 
-    Its own axis where it sees none: most LiDARs are upright.
+    The axis of the LiDAR if it sees none: most LiDARs are upright.
     """
     normal = ground_normal(cloud, np.random.default_rng(0))
     normal = normal if normal @ cloud.axis >= 0 else -normal
@@ -437,4 +437,4 @@ def in_words(found: Sequence[Distance], names: Sequence[str]) -> list[str]:
             f"{each.kind} {1000 * each.median_m:.1f} mm apart ({1000 * each.median_signed_m:+.1f} "
             f"signed; {counted(each.surfels, 'surfel')}, {each.area_m2:.1f} m²)"
         )
-    return [f"{names[i]}–{names[j]}: {', '.join(words)}" for (i, j), words in lines.items()]
+    return [f"{names[i]}–{names[j]}: {', '.join(distances)}" for (i, j), distances in lines.items()]

@@ -21,8 +21,8 @@ from .choice import is_as_possible
 from .correspondence import SAME_POSE_DISTANCE
 
 ABSENT = np.exp(-float(MIN_POLE_POINTS))
-"""A pole is absent if the probability of so few bright returns, or fewer, is at most this: that of
-none, if as many are expected as a pole needs."""
+"""A pole is absent if the probability of this number of bright returns, or fewer, is at most this:
+that of none, if as many are expected as a pole needs."""
 
 
 def without_absent(
@@ -90,7 +90,7 @@ def _is_absent(pole: Pole, seer: Scan, T: Array) -> bool:
     beams = rays / np.maximum(ranges, 1e-9)[:, None]
     point, axis = se3.apply(T, pole.point[None])[0], T[:3, :3] @ pole.direction
     toward = point - cloud.origin
-    # Beams that pass the middle of the pole farther away pass all of it.
+    # Beams farther than this from the middle of the pole miss the whole pole.
     room = SAME_POSE_DISTANCE + pole.length / 2
     some = np.flatnonzero(toward @ toward - (beams @ toward) ** 2 <= room**2)
     by, ranges = closest_approach(cloud.origin, beams[some], point, axis), ranges[some]

@@ -1,4 +1,4 @@
-"""The pose from the surroundings where the poles do not determine all of it: chosen, or refused.
+"""The pose from the surroundings where the poles do not fully determine it: chosen, or refused.
 
 If both LiDARs see one pole, or parallel ones, these are aligned in all ways in which the
 surroundings coincide (`one_pole`); without poles, ground is aligned with ground. Objects above the
@@ -54,7 +54,7 @@ With twice that, an answer with the verdict ok between two rows of posts was off
 MAX_CONTRADICTED = 0.06
 """Without poles, at most this share of the patches may contradict the pose. Two wrong poses of 88
 recordings (benchmarks/deception.py --poles 0, seeds 3000 to 3003) had 9.5 % and 10.8 %, the 21
-right ones of them and 11 of real pairs (benchmarks/no_poles.py) 4.2 % at most."""
+right ones of them and 11 of real pairs (benchmarks/no_poles.py) at most 4.2 %."""
 
 REGISTRATION_SIGMA = np.repeat([np.radians(0.1), 0.03], 3)
 """1 σ of a pose in a map that is registered to objects that cannot have driven off, rad and m:

@@ -41,7 +41,7 @@ the score, if the overlap is small."""
 
 CERTAIN_MARGIN = 0.15
 """Margin in score of a certain hypothesis over one that the scene contradicts so that it
-is no rival (`RIVAL_FREE_SPACE_VIOLATION`); …"""
+is not a rival (`RIVAL_FREE_SPACE_VIOLATION`); …"""
 
 SUPPORT_LEAST_OVERLAP = 0.2
 """… or one that overlaps less than confirmed poles need (`MIN_OVERLAP`), and in which
@@ -50,11 +50,11 @@ less than this of all: alone it would be refused. The limits for confirmed poles
 certain hypothesis."""
 
 MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
-"""Limit of the movement of the pose by ICP of the scenes, rad and m, unless it is settled or
+"""Limit of the movement of the pose by ICP of the scenes, rad and m, unless it is confirmed or
 certain: ICP of coarse scans drifts along floors and walls."""
 
 MIN_CERTAIN_COVISIBLE, MAX_CERTAIN_VIOLATION = 0.75, 0.01
-"""A hypothesis is certain if it is settled, or if at least this share of what both LiDARs could
+"""A hypothesis is certain if it is confirmed, or if at least this share of what both LiDARs could
 see coincides, and at most this share contradicts it. Wrong hypotheses contradicted 1.3 % and more;
 of nine right ones in hard scenes (seeds below 1000) that need it, 0.6 % at most did."""
 
@@ -109,9 +109,9 @@ def _icp_stays(best: Hypothesis) -> bool:
 
 
 FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
-"""Largest residual of the poles under the pose, metres: the lines of facing sides are π r/2 apart,
-returns scatter by `RMS_PER_RADIUS` about their line, and by noise. That is 35 mm for r = 20 mm;
-wrong answers had 38 mm and more. Wide beams add their scatter."""
+"""Largest residual of the poles under the pose, metres: the distance between the lines of facing
+sides is π r/2, returns scatter by `RMS_PER_RADIUS` about their line, and by noise. That is 35 mm
+for r = 20 mm; wrong answers had 38 mm and more. Wide beams add their scatter."""
 
 CONFIRMED_ANGLE = float(np.radians(1.5))
 """The two LiDARs agree on the angle of two lines within this, rad, and on their distance within

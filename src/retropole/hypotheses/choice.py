@@ -1,6 +1,6 @@
 """Which hypotheses the scene does not rule out, which is selected, and the choice by hand.
 
-The poles alone cannot decide. If the scene cannot either, a person who knows the place may:
+The poles alone cannot decide. If the scene cannot either, a person who knows the site may:
 by the letter of a hypothesis in the list.
 """
 
@@ -165,7 +165,7 @@ def is_not_ruled_out(
 
 
 def is_as_possible(each: Scored, best: Scored) -> bool:
-    """Whether `is_not_ruled_out` holds by the overlap and the free space of two poses."""
+    """Whether `is_not_ruled_out` is true by the overlap and the free space of two poses."""
     return is_not_ruled_out(
         each.overlap, each.free_space_violation, best.overlap, best.free_space_violation
     )

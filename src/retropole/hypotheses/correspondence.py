@@ -7,7 +7,7 @@ Matches that give nearly the same pose are one. A line has no direction and two 
 so a pair of poles fits another in 2 × 4 ways (Xue et al. 2019, Fig. 4). Each way has a start in
 closed form: the bisectors and the common perpendicular of two skew lines make a frame, the middle
 of the common perpendicular its origin, and the two frames are aligned. Of the eight, four are
-exact: the lines' own symmetry group is the identity and the half turns about the common
+exact: the symmetry group of the lines is the identity and the half turns about the common
 perpendicular and about the two bisectors (the Klein four-group). The other four pair an angle with
 its supplement, so they are exact only where the poles are perpendicular and cross.
 
@@ -64,7 +64,7 @@ def distinct(matches: list[Match], source_points: Array) -> list[Match]:
 
 
 def same_pose(one: Match, other: Match, source_points: Array) -> bool:
-    """Whether two matches put the source, and points (N, 3) of it, at nearly the same position."""
+    """Whether two matches put the source, with points (N, 3), at nearly the same position."""
     apart = se3.difference_at(one.T_target_source, other.T_target_source, source_points)
     return apart.rotation < SAME_POSE_ANGLE and apart.translation < SAME_POSE_DISTANCE
 
@@ -179,7 +179,7 @@ def direction_sigma(pole: Pole) -> float:
 
 
 EXACT_RMS = 0.05
-"""Pole residual, metres, up to which a start counts as an exact match of the lines. The
+"""Pole residual, metres, up to which a start is treated as an exact match of the lines. The
 facing sides of a 2 cm pole leave up to 31 mm between two LiDARs, noise a little more."""
 
 
@@ -208,8 +208,8 @@ EXTENSION_RMS = 3 * EXACT_RMS
 
 MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
 """Two poles of a match are the same only if the angle between them is less, rad, and the gap
-between them along the line is less, metres: two lines far apart along the same axis are two
-posts."""
+between them along the line is less, metres: two lines at a large distance along the same axis are
+two posts."""
 
 
 def solved_each(
@@ -369,7 +369,7 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
         points = np.stack([first.inner_point, second.inner_point])
         pair = line_pair(points[0], first.direction, points[1], second.direction)
         sigma = float(np.hypot(direction_sigma(first), direction_sigma(second)))
-        # The common perpendicular of leaning poles can lie metres beyond what is seen of them;
+        # The common perpendicular of leaning poles can lie metres beyond the visible parts;
         # there an error of direction moves the feet with that lever arm.
         feet = np.linalg.norm(pair.frame[:3, 3] - points, axis=1)
         index.append((i, j))
@@ -398,7 +398,7 @@ def _similar(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
 
 
 def are_similar(poles: Sequence[Pole], others: Sequence[Pole]) -> bool:
-    """Whether two of some poles may, within noise, stand to each other as two of the others do."""
+    """Whether two of some poles may, within noise, lie relative to each other as two others do."""
     return bool(_similar(all_pairs(poles), all_pairs(others)))
 
 
@@ -412,7 +412,7 @@ def widest_angle(directions: Sequence[Array]) -> float:
 
 
 class EveryMatch(NamedTuple):
-    """Matches, the best first, and how many of the pairs of poles that are alike were tried."""
+    """Matches, the best first, and how many of the pairs of poles of similar shape were tried."""
 
     matches: list[Match]
     laid: Share
@@ -438,14 +438,14 @@ def every_match(
 
     With two poles on each side these are the eight local optima of the paper, the exact ones
     first. With more, every pair of pairs that agrees in angle, distance and handedness starts a
-    match, which takes in all other poles that fall into place and is solved with them together.
+    match, which includes all other poles that fall into place and is solved with them together.
 
     Parameters
     ----------
     target, source
-        Poles of the two LiDARs, each in its own frame.
+        Poles of the two LiDARs, each in the frame of its LiDAR.
     count
-        How many poles both LiDARs see, where that is known: only matches of so many are kept.
+        How many poles both LiDARs see, if known: only matches of this number are kept.
     part
         Whether pairs that others do not fit are left out of a match, as where poles are doubtful:
         a thing near a pole lies near another, too, under the right pose. Otherwise such a match
@@ -459,9 +459,8 @@ def every_match(
     Raises
     ------
     Refusal
-        ``too_few_poles``, ``parallel_poles``, ``no_match`` where no pair of poles of one LiDAR
-        has the shape of a pair of the other, or ``pole_count`` where they agree, but not
-        ``count`` of them.
+        ``too_few_poles``, ``parallel_poles``, ``no_match`` if no pair of poles of one LiDAR has the
+        shape of a pair of the other, or ``pole_count`` if some agree, but not ``count`` poles.
     """
     _check_poles(target, source, count or 2)
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)
@@ -511,7 +510,7 @@ def _matched(
     pairs_target: Pairs,
     pairs_source: Pairs,
 ) -> list[tuple[Match, Match]]:
-    """Lay pairs of poles on each other in all ways, and take in the other poles that then fit.
+    """Align pairs of poles in all ways, and include the other poles that then fit.
 
     Returns
     -------
@@ -554,7 +553,7 @@ def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) ->
         if angle < MIN_ANGLE:
             raise Refusal(
                 "parallel_poles",
-                f"the poles seen by the {name} LiDAR are {np.degrees(angle):.1f}° apart; lean one "
+                f"the poles seen by the {name} LiDAR differ by {np.degrees(angle):.1f}°; lean one "
                 "by 15° or more against the other",
                 {"lidar": name, "angle_deg": float(np.degrees(angle))},
             )

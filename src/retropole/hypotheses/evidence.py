@@ -3,7 +3,7 @@
 The absence of conflicts shows little if no conflict was possible: in a corridor of
 plain walls a pose may slide along them. So the same voxels are counted at other poses: the
 best shifts along the ground and off it, small turns about the vertical, and the other ways of
-matching the poles. The pose must be better than all of them. Two measures, the share of the voxels
+matching the poles. The pose must be better than all these. Two measures, the share of the voxels
 that conflict with the pose and by how many σ it is better, are combined into one figure: the share
 of such answers that are wrong in simulation.
 """
@@ -243,7 +243,7 @@ def _median_distance(T: Array, other: Array, points: Array) -> float:
 
 
 def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
-    """Whether the poles check each other: three of them, or two placements that differ.
+    """Whether the poles check each other: three poles, or two placements that differ.
 
     Files of two placements on one stand, mixed up, repeat the same error: both LiDARs must see
     that the shapes differ by more than their noise. Parallel ones may be posts of a row.

@@ -1,7 +1,7 @@
 """Refinement of hypotheses by ICP of the scene, as far as their poles allow.
 
 Poles with few returns determine the pose only to some degrees, and a scene that is rotated by
-three degrees overlaps little. Registered from the right hypothesis, the scenes come to coincide
+three degrees overlaps little. Registered from the right hypothesis, the scenes then coincide
 where the poles still fit; from a wrong one they end at another pose, or fit no better. See
 docs/evidence/detection.md, Candidate poles.
 """
@@ -59,7 +59,7 @@ def refine_by_icp(
     Parameters
     ----------
     target, source
-        The whole clouds, each in its own frame.
+        The whole clouds, each in the frame of its LiDAR.
     hypotheses
         The best first.
     target_poles, source_poles
@@ -126,7 +126,7 @@ def registered(
     T
         The start.
     near
-        How far the registrations may move `at` from the start; None is no limit.
+        How far the registrations may move `at` from the start; None for no limit.
     at
         (3,) a point of the source, metres; None takes its origin.
 

@@ -1,4 +1,4 @@
-"""A LiDAR registered to a map: to objects that cannot have driven off, and how sure that is.
+"""A LiDAR registered to a map: to objects that cannot have driven off, and how certain that is.
 
 Flat surfaces leave some directions undetermined, such as the position along a street. There,
 trunks, posts and corners determine it, but one of them may have been moved. So the registration is

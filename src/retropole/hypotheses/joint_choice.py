@@ -106,7 +106,7 @@ def choose_poses(
     pairs
         All pairs.
     poles
-        For each LiDAR of the site, (N, 3) points on the poles that it sees, in its own frame.
+        For each LiDAR of the site, (N, 3) points on the poles that it sees, in its frame.
     first
         The LiDAR in whose frame the poses are.
     """
@@ -132,7 +132,7 @@ def choose_poses(
 class _Search:
     """Branch and bound over the poses of one LiDAR after the other.
 
-    `most` is what two LiDARs can count at most, `between` their possible poses, of points of the
+    `most` is the largest value of two LiDARs, `between` their possible poses, of points of the
     second in the frame of the first; both for either order. The same poses result in thousands of
     ways: `via`, `same` and `gains` store by identity the results for them, which `via` and the
     choice that the search starts from keep alive. `known` has one of each set of equal poses of a

@@ -73,8 +73,8 @@ def link_by_candidates(
 def with_own_candidates(scans: SiteScans, radius: float) -> SiteScans:
     """Add the candidate poles to recordings with fewer than two confirmed ones.
 
-    They are no evidence by themselves: only a loop that closes with them, and with no other choice,
-    confirms them.
+    They are not evidence by themselves: only a loop that closes with them, and with no other
+    choice, confirms them.
     """
     rows = tuple(
         tuple(None if scan is None else _with_own_candidates(scan, radius) for scan in row)
@@ -130,7 +130,8 @@ def _linked(
 ) -> tuple[SiteScans, Pair] | None:
     """Link two LiDARs by the first placement that does; None if none does.
 
-    By candidate poles that are confirmed, or `by_place`, whose answer is the same in all of them.
+    By candidate poles that are confirmed, or `by_place`, whose answer is the same in all
+    placements.
     """
     i, j = lidars
     for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):

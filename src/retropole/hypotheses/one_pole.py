@@ -105,7 +105,7 @@ def matches_about(
     standing
         Objects above the ground there, in either cloud.
     radius
-        Of the poles, metres: the lines that two LiDARs see of one lie up to π r/2 apart.
+        Of the poles, metres: the lines that two LiDARs see of one differ by up to π r/2.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def _ends(_: PointCloud) -> WeakKeyDictionary[PointCloud, dict[bytes, Array | No
 
 def _settling(placement: Placement) -> Callable[[Array, Array], Array | None]:
     """Return a function that registers the scenes from a pose (4, 4), within `SETTLES` of a point
-    (3,) of it.
+    (3,).
 
     Searches with other poles start at much the same poses, and each registers once.
     """
@@ -276,10 +276,10 @@ def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]
 
 
 TURNS = 240
-"""Rotations that are tried: 1.5° apart, 0.8 m at `HALF_SIDE`."""
+"""Rotations that are tried: in steps of 1.5°, 0.8 m at `HALF_SIDE`."""
 
 CELLS = RINGS * 4
-"""Cells along a side. LiDARs up to ``CELLS * CELL - 2 * HALF_SIDE`` apart have no points that are
+"""Cells along a side. LiDARs at up to ``CELLS * CELL - 2 * HALF_SIDE`` have no points that are
 near each other only because FFTs wrap."""
 
 HEIGHTS = np.array([0.3, 1.0, 1.75, 2.5, 3.5, 5.0, 8.0])

@@ -111,7 +111,7 @@ def find_pairs(scans: SiteScans, views: Views) -> tuple[Pair, ...]:
 
 
 def poles_of(scans: SiteScans, lidar: int) -> Array:
-    """(N, 3) middles of all poles that a LiDAR sees, in its own frame; its origin without any."""
+    """(N, 3) middles of all poles that a LiDAR sees, in its frame; its origin without any."""
     points = [pole.point for scan in scans.used(lidar) for pole in scan.poles]
     return np.array(points) if points else np.zeros((1, 3))
 
@@ -140,12 +140,12 @@ def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
 
 def _too_few_poles(scans: SiteScans, lidars: tuple[int, int]) -> Reason:
     """Report that two LiDARs have no two poles in common, and why, if a recording shows it."""
-    words = "in no placement do both LiDARs see the same two poles"
+    message = "in no placement do both LiDARs see the same two poles"
     for which, i in zip(("first", "second"), lidars, strict=True):
         whys = [why_few_poles(scan) for scan in scans.by_lidar[i] if scan and len(scan.poles) < 2]
         if any(whys):
-            words += f"; of the {which} of them, {next(filter(None, whys))}"
-    return Reason("too_few_poles", words, {})
+            message += f"; of the {which} LiDAR, {next(filter(None, whys))}"
+    return Reason("too_few_poles", message, {})
 
 
 def _add(

@@ -1,4 +1,4 @@
-"""Several placements of the poles in view of the same two LiDARs: one pose for all of them.
+"""Several placements of the poles in view of the same two LiDARs: one pose for all placements.
 
 Each placement has separate hypotheses; only the right pose recurs in all. The scores by the scene
 are averaged over the placements.
@@ -191,8 +191,9 @@ def find_recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
     if not choices:
         raise Refusal(
             "placements_disagree",
-            f"no pose fits all {len(scored)} placements; the nearest two poses are {nearest:.2f} m "
-            "apart: did a LiDAR move between them, or are the files of a placement swapped?",
+            f"no pose fits all {len(scored)} placements; the nearest two poses differ by "
+            f"{nearest:.2f} m: did a LiDAR move between them, or are the files of a placement "
+            "swapped?",
             {"placements": len(scored), "nearest_m": nearest},
         )
     return sorted(choices, key=lambda choice: -choice.joint.score)
@@ -304,7 +305,7 @@ def leave_one_out(
 
 
 def merge_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Merge the clouds of one LiDAR, to find the objects that are static in all of them.
+    """Merge the clouds of one LiDAR, to find the objects that are static in all clouds.
 
     Its sweeps are those of all; a cloud without any is one.
     """

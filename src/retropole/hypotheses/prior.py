@@ -92,13 +92,13 @@ def agreeing_with_prior(matches: Sequence[Match], prior: PosePrior | None) -> li
     if misfits and not any(match.exact for match in kept):
         angle, distance = min(misfits, key=max)
         least, count = max(angle, distance), len(misfits)
-        apart, of, check = f"{np.degrees(angle * prior.sigma):.0f}°", "rotation", "sign and order"
+        gap, of, check = f"{np.degrees(angle * prior.sigma):.0f}°", "rotation", "sign and order"
         if distance > angle:
-            apart, of, check = f"{distance * prior.distance_sigma:.1f} m", "place", "coordinates"
+            gap, of, check = f"{distance * prior.distance_sigma:.1f} m", "place", "coordinates"
         raise Refusal(
             "prior_contradicted",
             f"of {count} {'hypothesis' if count == 1 else 'hypotheses'} that fit the poles none "
-            f"agrees with the given {of}: the nearest is {apart} away, {least:.1f} times its sigma;"
+            f"agrees with the given {of}: the nearest is {gap} away, {least:.1f} times its sigma;"
             f" check its {check}, or leave it out",
             {"sigmas": least, "allowed": SIGMAS, "hypotheses": count},
         )

@@ -111,7 +111,7 @@ def choose_with_candidates(
     if by_place and first.refusal.code in FROM_SURROUNDINGS:
         looks = (placements,) if last is placements else (placements, last)
         chosen = _first_by_place(looks, radius, step, count, prior)
-        # Its refusal is no advice to users whose two poles are well set up.
+        # Its refusal is not useful to users whose two poles are well set up.
         if chosen is not None and (
             chosen.refusal is None or first.refusal.code in ("too_few_poles", "parallel_poles")
         ):
@@ -314,7 +314,7 @@ def _without_one(
 
 
 def _without(scan: Scan, pole: Pole) -> Scan:
-    """A scan without one of its candidate poles; unchanged if the pole is none of them."""
+    """A scan without one of its candidate poles; unchanged if the pole is not a candidate."""
     left = tuple(own for own in scan.candidates if own is not pole)
     if scan.detection is None or len(left) == len(scan.candidates):
         return scan

@@ -42,7 +42,7 @@ from .icp_refinement import MOST_REFINED
 from .one_pole import MOST_POLES
 
 SAME_FACTOR = 0.05
-"""Ratios of distances nearer to each other than this, as a part of them, are one factor: the scene
+"""Ratios of distances nearer to each other than this, as a fraction, are one factor: the scene
 refines it."""
 
 CLEARLY_BETTER = 1.15
@@ -345,8 +345,8 @@ def fit_similarity(
 
 
 def support(target: Surfaces, moved: Array) -> float:
-    """Number of some points (N, 3) on the target's surfaces; those near them are counted in
-    part."""
+    """Number of some points (N, 3) on the target's surfaces; those near a surface have a smaller
+    weight."""
     _, _, off = _off(target, moved, DISTANCES[0])
     return float(np.sum(1.0 / (1.0 + (off / ON_SURFACE) ** 2)))
 

@@ -299,8 +299,8 @@ def frames_of(folder: Path) -> list[Path]:
 def _natural_key(path: Path) -> tuple[list[str | int], str]:
     """Make a sort key: digits in a name are treated as numbers; equal ones are sorted by the
     name."""
-    words = re.split(r"([0-9]+)", path.name)
-    return [int(word) if k % 2 else word for k, word in enumerate(words)], path.name
+    parts = re.split(r"([0-9]+)", path.name)
+    return [int(word) if k % 2 else word for k, word in enumerate(parts)], path.name
 
 
 def sha256_of(path: str | Path) -> str:

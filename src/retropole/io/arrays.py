@@ -1,7 +1,7 @@
 """Plain arrays of numbers: NumPy's .npy and .npz, text, also that of other formats, and .bin.
 
-Nothing in a ``.bin`` says how long a point is, and a wrong length gives a cloud of nonsense. So a
-length is used only if its values are those of points, and one of two that could be is no guess.
+Nothing in a ``.bin`` states how long a point is, and a wrong length gives a cloud of nonsense. So a
+length is used only if its values are those of points, and of two possible lengths none is guessed.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def read_npz(path: Path, wanted: Wanted = USUAL) -> PointCloud:
         return _from_table(only, wanted)
     tables = [name for name in TABLE_KEYS if name in arrays]
     if len(tables) > 1:
-        raise ReadError(f"holds {' and '.join(tables)}, expected one table of points")
+        raise ReadError(f"has {' and '.join(tables)}, expected one table of points")
     for name in tables:
         table = arrays.pop(name)
         if not _is_table(table):
@@ -187,7 +187,7 @@ def read_text(path: Path, wanted: Wanted = USUAL) -> PointCloud:
     Values are separated by semicolons, tabs, commas or blanks: the first of these that is in the
     first line of numbers. Lines that start with ``#`` or ``//`` are comments; the last one before
     the numbers that names x, y and z names the columns. A line of one whole number before the
-    points is their number. Decimal commas are read where nothing else can be meant by them.
+    points is their number. Decimal commas are read if they cannot be anything else.
     """
     return _read_lines(path, wanted)
 
@@ -246,13 +246,13 @@ def as_utf8(data: bytes) -> bytes:
 
 def _has_decimal_commas(line: str, separator: str | None) -> bool:
     """Whether commas can only be decimal marks, by the first line of numbers."""
-    words = line.split()
-    between_blanks = len(words) >= 3 and all(map(DECIMAL_COMMA.fullmatch, words))
+    values = line.split()
+    between_blanks = len(values) >= 3 and all(map(DECIMAL_COMMA.fullmatch, values))
     return separator in (";", "\t") or between_blanks
 
 
 def _check_colours(values: Array) -> None:
-    """Refuse a file whose last columns are no colours, so that others may be no intensity."""
+    """Refuse a file whose last columns are not colours, so that others may not be an intensity."""
     if not (np.all(values == np.rint(values)) and np.all((values >= 0) & (values <= 255))):
         raise ReadError(
             "its last three columns are not colours from 0 to 255, expected x y z intensity red "
@@ -290,25 +290,25 @@ def _head(body: bytes) -> _Head:
             continue
         line = raw.decode("utf-8", errors="replace").strip()
         plain = line.lstrip("#/").strip()
-        words = [word.strip(" \"'") for word in plain.split(_separator(plain))]
+        values = [word.strip(" \"'") for word in plain.split(_separator(plain))]
         is_comment = plain != line
         if not is_comment and promised is None and re.fullmatch("[0-9]{1,15}", plain):
             # CloudCompare and Leica's programs write how many points follow.
             promised, counted_at = int(plain), number
-        elif not is_comment and names and not notes and _is_of_device(words, len(names)):
-            notes = (f"line {number} has {len(words)} values and is left out: {line[:60]!r}",)
+        elif not is_comment and names and not notes and _is_of_device(values, len(names)):
+            notes = (f"line {number} has {len(values)} values and is left out: {line[:60]!r}",)
         # Words that only start like a number are not names: 1,5 is an error and not a title.
         elif not is_comment and any(
-            is_number(word) or re.match(r"[-+.]?[0-9]", word) for word in words
+            is_number(word) or re.match(r"[-+.]?[0-9]", word) for word in values
         ):
             return _Head(names, promised, counted_at, number, position, notes)
         elif not is_comment:
             if not commented:
                 raise LineError(number, f"{line[:60]!r}, expected numbers")
-            names, commented = words, False
-        elif commented and has_coordinates(words):
+            names, commented = values, False
+        elif commented and has_coordinates(values):
             # Of the comments, only one that names the coordinates names the columns.
-            names = words
+            names = values
         position += len(raw)
     raise ReadError(
         f"has no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
@@ -316,10 +316,10 @@ def _head(body: bytes) -> _Head:
     )
 
 
-def _is_of_device(words: list[str], columns: int) -> bool:
+def _is_of_device(cells: list[str], columns: int) -> bool:
     """Whether a line is of the sensor and not of a point: Livox Viewer 2 begins with such a one."""
-    is_serial = re.fullmatch("[0-9A-Z]{10,30}", words[0]) is not None and not is_number(words[0])
-    return is_serial and len(words) != columns
+    is_serial = re.fullmatch("[0-9A-Z]{10,30}", cells[0]) is not None and not is_number(cells[0])
+    return is_serial and len(cells) != columns
 
 
 def _separator(line: str) -> str | None:
@@ -365,11 +365,11 @@ def read_table(body: bytes, columns: int, *, line: int, separator: str | None = 
         if bad is None:
             raise ReadError(f"its lines are not {columns} numbers each") from None
         number, content = bad
-        words = f"{content[:60]!r}, expected {columns} numbers"
-        raise LineError(line + number, words) from None
+        message = f"{content[:60]!r}, expected {columns} numbers"
+        raise LineError(line + number, message) from None
     if table.shape[1] != columns:
         number, _ = _first_bad(body, columns, separator) or (0, "")
-        raise LineError(line + number, f"holds {table.shape[1]} values, expected {columns}")
+        raise LineError(line + number, f"has {table.shape[1]} values, expected {columns}")
     return table
 
 
@@ -388,8 +388,8 @@ def _first_bad(body: bytes, columns: int, separator: str | None) -> tuple[int, s
     for k, line in enumerate(io.BytesIO(body)):
         content = line.rstrip(b"\n").decode("ascii", errors="replace").replace("�", "?")
         plain = content.split("#", 1)[0].strip(None if separator is None else " ")
-        words = plain.split(separator)
-        if plain and (len(words) != columns or not all(is_number(w.strip()) for w in words)):
+        values = plain.split(separator)
+        if plain and (len(values) != columns or not all(is_number(w.strip()) for w in values)):
             return k, content
     return None
 
@@ -436,7 +436,7 @@ def _are_four(rows: NDArray[Any]) -> bool:
 def _are_five(rows: NDArray[Any]) -> bool:
     ring = rows[:, 4]
     with np.errstate(invalid="ignore"):
-        # Coordinates, four fifths of what a wrong length puts there, are no whole numbers.
+        # Coordinates, four fifths of what a wrong length puts there, are not whole numbers.
         are_rings = (ring >= 0) & (ring < 256) & (ring == np.round(ring))
     return bool(np.all(are_rings)) and _are_points(rows)
 
@@ -447,7 +447,7 @@ def _are_points(rows: NDArray[Any]) -> bool:
         size = np.abs(rows[:, :3])
         odd = np.any(((size < TINIEST) & (size > 0.0)) | (size > LARGEST), axis=1)
         odd |= rows[:, 3] < 0.0
-    # What is not a number is no return, and dropped; infinity is one of the largest.
+    # What is not a number is not a return, and dropped; infinity is one of the largest.
     # With a wrong length, a third and more of the intensities are coordinates, half of which are
     # negative.
     return float(np.mean(odd & ~np.any(np.isinf(size), axis=1))) <= 0.01
@@ -472,7 +472,7 @@ def _alternate(rows: NDArray[Any]) -> bool:
 
 
 def _why(data: bytes, are_both: bool) -> str:
-    """State why the values are not points, or two kinds of them, and how to convert them."""
+    """State why the values are not points, or two kinds of points, and how to convert them."""
     size = len(data)
     if size % (4 * FLOAT) and size % (5 * FLOAT):
         return (

@@ -4,7 +4,7 @@
 make GiB of nothing. So only tables of plain columns are read, messages are of bounded length, and
 the steps of SQLite are counted. The records of an MCAP are decoded by mcap; what a chunk unpacks to
 is bounded here, since mcap unpacks whatever there is. rosbags reads ROS 1 bags; of an MCAP it reads
-no messages of ROS 1, and it bounds neither what a chunk unpacks to nor what SQLite computes.
+no messages of ROS 1, and it limits neither the unpacked size of a chunk nor the work of SQLite.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def open_database(path: Path, size: int, mode: str) -> Iterator[sqlite3.Connecti
         If its topics and messages are not plain tables, or if to read it takes more than a
         file of its size can need.
     """
-    # An address, since only that can say that the file does not change; as_uri quotes the path.
+    # An address, since only that can state that the file does not change; as_uri quotes the path.
     address = f"{path.absolute().as_uri()}?mode={mode}"
     # Half a second to wait for a recorder that is writing.
     with closing(sqlite3.connect(address, 0.5, uri=True)) as database:
@@ -161,7 +161,7 @@ def open_database(path: Path, size: int, mode: str) -> Iterator[sqlite3.Connecti
 
 
 def topics_in(database: sqlite3.Connection) -> list[tuple[int, str, str]]:
-    """List number, name and type of the topics, one more than `MAX_TOPICS` at most."""
+    """List number, name and type of the topics, at most one more than `MAX_TOPICS`."""
     query = f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?"
     return database.execute(query, [MAX_TOPICS + 1]).fetchall()
 
@@ -255,7 +255,7 @@ FOOTER = 37
 """Bytes of the last record and of the mark at the end of the file."""
 
 RECORD_COST = 512
-"""Bytes that a record costs in addition to its own, by the memory and time that it takes."""
+"""Bytes that a record costs in addition to its size, by the memory and time that it takes."""
 
 MAX_WAITING = 2**28
 """Bytes of messages that may wait to be sorted by time, where chunks overlap."""
@@ -271,7 +271,7 @@ def open_mcap(path: Path) -> Iterator[Bag]:
     Raises
     ------
     ReadError
-        If a chunk, or all of them, unpack to more than `unpacking` allows.
+        If a chunk, or all chunks, unpack to more than `unpacking` allows.
     """
     with opened_within(path) as file:
         size = path.stat().st_size

@@ -160,8 +160,8 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     Returns
     -------
     PointCloud
-        The cloud itself where its rings agree with its origin and axis already, and where they show
-        no other: rings of a rosette are no cones, nor are those of a sweep undistorted in motion.
+        The cloud itself if its rings agree with its origin and axis already, or if they show no
+        other: rings of a rosette are not cones, nor are those of a sweep undistorted in motion.
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud
@@ -171,8 +171,8 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
 
 @kept
 def _axis_from_rings(cloud: PointCloud) -> Cones | None:
-    """The cones of the rings of a cloud, their axis to the side of its own; None if it has these
-    origin and axis already, and if there are none.
+    """The cones of the rings of a cloud, their axis to the side of that of the cloud; None if it
+    has these origin and axis already, and if there are none.
     """
     assert cloud.ring is not None
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)

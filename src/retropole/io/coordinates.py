@@ -40,7 +40,7 @@ class Oddity:
     for coordinates of a map, and for those that no unit explains.
     """
 
-    words: str
+    text: str
     half: float
     units: tuple[Unit, ...] = ()
     is_map: bool = False
@@ -95,11 +95,11 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
         and farthest * METRES[unit] <= FARTHEST_RETURN
     )
     if not units:
-        words = f"half of the points are beyond {half:,.0f} m, farther than poles can be seen"
-        return Oddity(words, half)
-    words = f"half of the points are beyond {half:,.0f}, too far for a LiDAR if these are metres"
-    odd = Oddity(words, half, units)
-    return replace(odd, words=f"{words}: they look like {odd.candidates}")
+        text = f"half of the points are beyond {half:,.0f} m, farther than poles can be seen"
+        return Oddity(text, half)
+    text = f"half of the points are beyond {half:,.0f}, too far for a LiDAR if these are metres"
+    odd = Oddity(text, half, units)
+    return replace(odd, text=f"{text}: they look like {odd.candidates}")
 
 
 def _ranges(cloud: PointCloud) -> tuple[float, float, float]:

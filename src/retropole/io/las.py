@@ -124,7 +124,7 @@ def _check_header(file: BinaryIO, size: int) -> None:
         )
     length, points, records = struct.unpack_from("<HII", head, 94)
     if points > size:
-        stated = f"the header says that points start at byte {points}"
+        stated = f"the header states that points start at byte {points}"
         raise ReadError(f"{stated}, the file ends at {size}")
     # A record has 54 bytes without content.
     if length + 54 * records > points:

@@ -68,7 +68,7 @@ def lvx_topics(path: Path) -> tuple[Topic, ...]:
     Raises
     ------
     ReadError
-        If it is no such file.
+        If it is not such a file.
     """
     found = _look(path)
     return tuple(Topic(name, KIND, len(found.frames)) for name in sorted(found.names.values()))
@@ -80,7 +80,7 @@ def open_lvx(path: Path, topic: str | None = None, wanted: Wanted = USUAL) -> Re
     Raises
     ------
     ReadError
-        If it is no such file, or not exactly one LiDAR fits; lists those there are.
+        If it is not such a file, or not exactly one LiDAR fits; lists those there are.
     """
     found = _look(path)
     own = [number for number, name in found.names.items() if topic in (None, name)]

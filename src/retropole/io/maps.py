@@ -11,7 +11,8 @@ from .fields import MapPlace
 
 REACH = 80.0
 """Points of a map farther from the rough place, along x and y, are left out, metres: surfaces of
-another LiDAR meet those of its map within less, and the search needs 64 (`hypotheses.one_pole`)."""
+another LiDAR coincide with those of its map within less, and the search needs 64
+(`hypotheses.one_pole`)."""
 
 FEWEST = 1000
 """A map with fewer points there shows no place."""
@@ -30,7 +31,7 @@ def as_map(cloud: PointCloud, place: MapPlace) -> PointCloud:
     Raises
     ------
     ReadError
-        If hardly any point lies near the place, and where a map without one is too large.
+        If hardly any point lies near that place, and if a map without one is too large.
     """
     low, high = cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)
     if place.at is None and (high - low)[:2].max() > 2 * REACH:

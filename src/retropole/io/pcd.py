@@ -103,7 +103,7 @@ def read_pcd(path: Path, wanted: Wanted = USUAL) -> PointCloud:
 
 
 Entries = dict[str, tuple[int, list[str]]]
-"""By key, the number of a line and its words."""
+"""By key, the number of a line and its values."""
 
 
 def _parse_header(data: bytes) -> Header:
@@ -114,16 +114,16 @@ def _parse_header(data: bytes) -> Header:
         if end < 0 or position > MAX_HEADER:
             raise ReadError(f"the header ends at line {number} without a DATA line")
         number += 1
-        words = data[position:end].decode("ascii", errors="replace").split()
+        values = data[position:end].decode("ascii", errors="replace").split()
         position = end + 1
-        if not words or words[0].startswith("#"):
+        if not values or values[0].startswith("#"):
             continue
-        if words[0] not in KEYS:
-            raise LineError(number, f"starts with {words[0]!r}, expected one of {', '.join(KEYS)}")
-        key = "FIELDS" if words[0] == "COLUMNS" else words[0]
+        if values[0] not in KEYS:
+            raise LineError(number, f"starts with {values[0]!r}, expected one of {', '.join(KEYS)}")
+        key = "FIELDS" if values[0] == "COLUMNS" else values[0]
         if key in entries:
             raise LineError(number, f"{key} again, after line {entries[key][0]}")
-        entries[key] = (number, words[1:])
+        entries[key] = (number, values[1:])
     names = _entry(entries, "FIELDS")[1]
     sizes, counts = _whole(entries, "SIZE", 1), _whole(entries, "COUNT", 0, [1] * len(names))
     line, types = _entry(entries, "TYPE")
@@ -147,9 +147,9 @@ def _parse_header(data: bytes) -> Header:
         raise ReadError(f"{product}: the header contradicts itself")
     if sum(counts) > MAX_VALUES:
         raise ReadError(f"a point has {sum(counts)} values, expected {MAX_VALUES} at most")
-    line, words = entries["DATA"]
-    if words not in (["ascii"], ["binary"], ["binary_compressed"]):
-        stated = f"DATA {' '.join(words)}"
+    line, values = entries["DATA"]
+    if values not in (["ascii"], ["binary"], ["binary_compressed"]):
+        stated = f"DATA {' '.join(values)}"
         raise LineError(line, f"{stated}, expected ascii, binary or binary_compressed")
     origin = _viewpoint(*entries.get("VIEWPOINT", (0, ["0"] * 7)))
     # Some writers put a field of no values where there is no padding to be said.
@@ -164,7 +164,7 @@ def _parse_header(data: bytes) -> Header:
         tuple(filter(None, counts)),
         points,
         origin,
-        words[0],
+        values[0],
         start=position,
         lines=number,
         notes=tuple(notes),
@@ -181,23 +181,23 @@ def _whole(entries: Entries, key: str, low: int, default: list[int] | None = Non
     """Read whole numbers, one at least."""
     if key not in entries and default is not None:
         return default
-    line, words = _entry(entries, key)
+    line, given = _entry(entries, key)
     try:
-        values = [int(word) for word in words]
+        values = [int(word) for word in given]
     except ValueError:
         values = []
     if not values or min(values) < low or max(values) > MAX_PROMISED:
-        raise LineError(line, f"{key} {' '.join(words)}, expected whole numbers from {low}")
+        raise LineError(line, f"{key} {' '.join(given)}, expected whole numbers from {low}")
     return values
 
 
-def _viewpoint(line: int, words: list[str]) -> Array:
+def _viewpoint(line: int, given: list[str]) -> Array:
     try:
-        values = np.array([float(word) for word in words])
+        values = np.array([float(word) for word in given])
     except ValueError:
         values = np.zeros(0)
     if len(values) != 7 or not np.all(np.abs(values) <= LARGEST):
-        stated = f"VIEWPOINT {' '.join(words)}"
+        stated = f"VIEWPOINT {' '.join(given)}"
         raise LineError(line, f"{stated}, expected seven numbers tx ty tz qw qx qy qz")
     return values[:3]
 
@@ -274,7 +274,7 @@ def _decompress(body: memoryview, sizes: list[int]) -> bytes:
     if size not in sizes:
         raise ReadError(f"its data decompress to {size} bytes, the header promises {sizes[-1]}")
     if compressed > left:
-        raise ReadError(f"promises {compressed} bytes of compressed data, holds {left}")
+        raise ReadError(f"promises {compressed} bytes of compressed data, has {left}")
     # LZF writes at least three bytes for 264.
     if size > 300 * compressed:
         raise ReadError(f"{compressed} bytes cannot decompress to {size}")
@@ -318,7 +318,7 @@ def pcd_of(cloud: PointCloud) -> bytes:
         fits = np.iinfo(kind) if name == "ring" else np.finfo(kind)
         if column.size and not (fits.min <= column.min() and column.max() <= fits.max):
             runs = f"{name} runs from {column.min():g} to {column.max():g}"
-            raise UsageError(f"{runs}, a PCD holds {fits.min:g} to {fits.max:g}")
+            raise UsageError(f"{runs}, a PCD stores {fits.min:g} to {fits.max:g}")
     points = records_of({name: column.astype(kind) for name, kind, column in kept})
     kinds = [kind for _, kind, _ in kept]
     header = [

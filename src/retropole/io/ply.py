@@ -157,9 +157,9 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int, int]:
     if len(lines) > MAX_HEADER:
         raise ReadError(f"a header of {len(lines)} lines, expected {MAX_HEADER} at most")
     for number, line in enumerate(lines, 1):
-        words = line.split()
+        tokens = line.split()
         try:
-            match words:
+            match tokens:
                 case ["format", name, _] if name in ORDERS and not encoding:
                     encoding = name
                 case ["element", name, count] if 0 <= int(count) <= MAX_PROMISED:
@@ -216,17 +216,17 @@ def _read_ascii(
         table = read_table(text, len(vertex.names), line=line)
         found = len(table)
     if found != vertex.count:
-        raise ReadError(f"holds {found} lines of vertices, the header promises {vertex.count}")
+        raise ReadError(f"has {found} lines of vertices, the header promises {vertex.count}")
     return dict(zip(vertex.names, table.T, strict=True)), body[end:]
 
 
 def _without_lists(row: bytes, vertex: _Element, line: int) -> bytes:
-    words, kept = row.split(), list[bytes]()
+    tokens, kept = row.split(), list[bytes]()
     position = 0
     for prop in vertex.properties:
-        if position >= len(words):
+        if position >= len(tokens):
             raise LineError(line, f"ends before property {prop.name}")
-        word = words[position]
+        word = tokens[position]
         position += 1
         if not prop.length:
             kept.append(word)
@@ -234,6 +234,6 @@ def _without_lists(row: bytes, vertex: _Element, line: int) -> bytes:
             position += int(word)
         else:
             raise LineError(line, f"the length of list {prop.name} is not a number")
-    if position != len(words):
-        raise LineError(line, f"holds {len(words)} values, expected {position}")
+    if position != len(tokens):
+        raise LineError(line, f"has {len(tokens)} values, expected {position}")
     return b" ".join(kept)

@@ -60,7 +60,7 @@ PACKET_MESSAGES = frozenset(
 """Types of the messages in which drivers publish packets."""
 
 PACKETS_OF = "packets of "
-"""Start of what replaces a type where a capture has several LiDARs."""
+"""Start of the name that replaces a type if a capture has several LiDARs."""
 
 
 class FrameHeader(NamedTuple):
@@ -174,7 +174,8 @@ class Recording:
     read
         From ascending frame numbers to these frames, each read when it is requested.
     topic
-        Of a bag, the topic that the frames are on; of a capture, who sent them where several did.
+        Of a bag, the topic that the frames are on; of a capture, their sender, if there are
+        several.
     model
         Of packets, the LiDAR that sent them, as `PointCloud` has it.
     """
@@ -261,7 +262,7 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
     Raises
     ------
     ReadError
-        If no frame has a return, where origins differ, and where only some have an intensity.
+        If no frame has a return, if origins differ, or if only some have an intensity.
     """
     dropped = sum(frame.cloud.dropped for frame in frames)
     full = [frame for frame in frames if len(frame.cloud)]
@@ -357,7 +358,7 @@ FEWEST_FRAMES = 20
 of the beams, and this many show what moved."""
 
 BRIGHT_SHARE = 0.01
-"""Part of the points that are left which the brightest may be: 15,000 of them. Returns on
+"""Part of the points that are left which the brightest may be: 15,000 points. Returns on
 poles are some thousands, and so small a part moves no threshold found from the cloud."""
 
 
@@ -375,7 +376,7 @@ def downsample(cloud: PointCloud, most: int) -> PointCloud:
     Returns
     -------
     PointCloud
-        With its points in their order; those left out are counted in `thinned`.
+        With its points in their order; `thinned` is the number of those left out.
     """
     if len(cloud) <= most:
         return cloud

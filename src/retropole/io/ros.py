@@ -1,7 +1,7 @@
 """Point clouds in ROS bags: topics, frames, and the layout of a message (the extra ``ros``).
 
 ``sensor_msgs/PointCloud2`` and Livox' ``CustomMsg`` have had one layout in ROS 1 and another in
-every ROS 2 so far, so the definitions in a bag, if any, are not used. No ROS is needed.
+every ROS 2 until now, so the definitions in a bag, if any, are not used. No ROS is needed.
 """
 
 from __future__ import annotations
@@ -98,12 +98,12 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
 
 
 def _listed(topics: Sequence[Topic], *, kinds: bool = False) -> str:
-    words = [
+    names = [
         f"{topic.name} ({topic.kind + ', ' if kinds else ''}{counted(topic.count, 'message')})"
         for topic in topics[:MAX_LISTED]
     ]
     more = len(topics) - MAX_LISTED
-    return ", ".join(words) + (f" and {more} more" if more > 0 else "") if words else "none"
+    return ", ".join(names) + (f" and {more} more" if more > 0 else "") if names else "none"
 
 
 def _frames(path: Path, topic: Topic, wanted: Wanted, numbers: range) -> Iterator[Frame]:
@@ -117,7 +117,7 @@ def _frames(path: Path, topic: Topic, wanted: Wanted, numbers: range) -> Iterato
             if number == numbers[-1]:
                 return
         promised = f"promises {counted(topic.count, 'message')} on {topic.name}"
-        raise ReadError(f"{promised}, holds {number + 1}")
+        raise ReadError(f"{promised}, has {number + 1}")
 
 
 def frame_of(
@@ -148,7 +148,7 @@ def frame_of(
     Raises
     ------
     ReadError
-        If it is no such message; names the topic and the number.
+        If it is not such a message; names the topic and the number.
     """
     where = f"message {number} of {topic}"
     with naming(where):

@@ -35,7 +35,7 @@ CHAIN_SAMPLE = 600
 """Points of chains that the cones are fitted to: a fit takes 10 ms then."""
 
 START_DISTANCE = 3.0
-"""The apex is looked for, among other places, so far from the middle of the points, metres."""
+"""One distance from the middle of the points at which the apex is looked for, metres."""
 
 LEVEL_SPREAD, LEVEL_GAP = float(np.radians(0.002)), float(np.radians(0.02))
 """Points of one level lie within the first of its middle, rad, and levels farther from each other
@@ -68,8 +68,8 @@ def with_rings_shown(cloud: PointCloud) -> PointCloud:
     -------
     PointCloud
         With rings numbered from the lowest elevation that was seen, about the axis. The cloud
-        itself where it has rings, and where its points show none: those of a LiDAR that does not
-        repeat its pattern, of one that moved, or of several.
+        itself if it has rings, or if its points show none: those of a LiDAR that does not repeat
+        its pattern, of one that moved, or of several.
     """
     if cloud.ring is not None or len(cloud) < MIN_RING_POINTS:
         return cloud
@@ -105,7 +105,8 @@ def chains(xyz: Array) -> IntArray:
 def levels(xyz: Array, cones: Cones) -> IntArray | None:
     """Number (N,) the levels on which the elevations of points (N, 3) lie; None if they do not.
 
-    Seen from far away, or from close to a plane, most points have one elevation: that is no level.
+    Seen from far away, or from close to a plane, most points have one elevation: that is not a
+    level.
     """
     ray = xyz - cones.apex
     near, far = np.quantile(lengths(ray), [0.05, 0.95])
@@ -123,7 +124,7 @@ def levels(xyz: Array, cones: Cones) -> IntArray | None:
 
 
 def _starts(points: Array, origin: Array) -> Iterator[Array]:
-    """Places (3,) where the apex may be: most points are near a LiDAR, or all to one side of it."""
+    """Places (3,) where the apex may be: most points are near a LiDAR, or all to one side."""
     yield origin
     yield densest(points)
     middle = np.median(points, axis=0)

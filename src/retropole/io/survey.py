@@ -80,8 +80,8 @@ def read_survey(
     Raises
     ------
     ReadError
-        If it does not say which column is what, where a point is missing or there twice, and
-        where a value is no number; names the file, the line, the column and what was expected.
+        If the meaning of a column is not stated, if a point is missing or given twice, or if a
+        value is not a number; names the file, the line, the column and what was expected.
     """
     with naming(path):
         lines = as_utf8(read_whole(path)).decode(errors="replace").splitlines()

@@ -36,7 +36,7 @@ NAME = re.compile(r"(?:^|\D)(?:(\d{9,10})(?:\.(\d{1,9})|[_-](\d{9}|\d{6}|\d{3}))
 """How names end that are Unix times: seconds and a fraction, or milli-, micro- or nanoseconds."""
 
 LONGEST = 0.5
-"""Times that begin farther from zero, s, are not used from their sweep's stamp: their own begin is
+"""Times that begin farther from zero, s, are not used from their sweep's stamp: their begin is
 taken off, as of those that begin again with each second."""
 
 

@@ -26,12 +26,12 @@ ALLOWED, ALLOWED_RATIO = 2**29, 100
 to 20 fold."""
 
 Spend = Callable[[int], None]
-"""Counts bytes, and raises where a file has used up what it is allowed."""
+"""Counts bytes, and raises if a file exceeds its limit."""
 
 
 class BoundedFile(io.BufferedReader):
     """A file that says itself how much of it to read next, and of which no more is read than that
-    can be: a file of some KB may have holes of GiB, and say that they are a record."""
+    can be: a file of some KB may have holes of GiB, which it calls a record."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Read this many bytes.
@@ -131,6 +131,6 @@ def _stream(kind: str, file: BinaryIO) -> Any:
         return lz4.frame.open(file)
     import zstandard
 
-    # A frame may ask for a window of GiB.
+    # A frame may need a window of GiB.
     own = zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED)
     return own.stream_reader(file, read_across_frames=True)

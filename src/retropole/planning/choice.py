@@ -27,7 +27,7 @@ MOST_ROUNDS = 10
 """Of exchanges of all poles; most sets are at rest after two or three."""
 
 GAIN = 0.999
-"""An exchange must bring the error below this part of it."""
+"""An exchange must bring the error below this fraction."""
 
 
 WALK = 0.005
@@ -44,8 +44,8 @@ UNCONSTRAINED = 1.0
 
 LEAST_SPACING, LEAST_ANGLE, LEAST_LEAN = 1.0, float(np.radians(15.0)), float(np.radians(10.0))
 """Of two poles: between their feet, metres; between their axes, rad; and between their leans where
-two or three stand. A half turn about the vertical maps two of equal leans to each other: on bare
-ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
+there are two or three. A half turn about the vertical maps two of equal leans to each other: on
+bare ground three poles that all leaned by 20° were refused as ambiguous (docs/poles.md)."""
 
 DISTINGUISHABLE = float(np.radians(6.0)), 0.3
 """Angles between poles, rad, or distances, metres, that differ by this amount show which is which.
@@ -123,7 +123,7 @@ class Design:
     feet
         (C, 2) where each is, metres.
     found
-        What was found so far with each pole more: an exchange often asks again.
+        What was found already with each additional pole: an exchange often needs it again.
     """
 
     roots: Sequence[tuple[IntArray, Array]]
@@ -245,7 +245,7 @@ def walk_factor(design: Design, chosen: Sequence[Sequence[int]], p: int) -> Arra
 
 
 def count_dependent(design: Design, chosen: Sequence[Sequence[int]]) -> int:
-    """Count, over all poles, the LiDARs that those left do not hold when one is taken away."""
+    """Count, over all poles, the LiDARs that are not constrained if that pole is removed."""
     every = [k for own in chosen for k in own]
     inverse = design.inverse(every, alone=True)
     left = [design.squares(inverse) + design.change(inverse, k, -1.0) for k in every]

@@ -37,14 +37,14 @@ class Deviation:
         (2,) of its foot from the planned one, metres, place frame; None if it was not found.
     turned
         Angle between both axes, rad.
-    words
+    text
         The same for a person, and what to do.
     """
 
     name: str
     offset: Array | None
     turned: float
-    words: str
+    text: str
 
     @property
     def is_as_planned(self) -> bool:
@@ -138,8 +138,8 @@ def _match(
             found.append(Deviation(plan.name, None, 0.0, _missing(plan)))
             continue
         turned = float(turn[k, j])
-        words = _words(plan, offsets[k, j], turned)
-        found.append(Deviation(plan.name, offsets[k, j], turned, words))
+        text = _words(plan, offsets[k, j], turned)
+        found.append(Deviation(plan.name, offsets[k, j], turned, text))
     matched = sum(each.offset is not None for each in found)
     return found, len(poles) - matched
 

@@ -48,14 +48,14 @@ class Advice:
     ----------
     code
         A name that stays the same: ``parallel``.
-    words
+    text
         For the people at the poles, one or two sentences.
     is_good
         Nothing is to be done except to keep still.
     """
 
     code: str
-    words: str
+    text: str
     is_good: bool = False
 
 
@@ -230,8 +230,8 @@ def _parallel(views: Sequence[View], now: float) -> Iterator[Advice]:
         degrees = math.degrees(float(np.mean(known)))
         yield Advice(
             "parallel",
-            f"The poles are {degrees:.0f}° apart: lean one by {math.degrees(WEAK_ANGLE):.0f}° or "
-            "more, 20° is good.",
+            f"The angle between the poles is {degrees:.0f}°: lean one by "
+            f"{math.degrees(WEAK_ANGLE):.0f}° or more, 20° is good.",
         )
 
 
@@ -340,7 +340,7 @@ def advice_after(outcome: Outcome, again: str) -> Advice:
             )
         return Advice(
             "need_not_met",
-            f"{again} So far {_so_far(outcome)}; needed is {outcome.need.words}, "
+            f"{again} So far {_so_far(outcome)}; needed is {outcome.need.text}, "
             f"{100 * ENOUGH:g} % sure.",
         )
     reason = next(r for r in document.reasons if r.code != "not_fit_for_purpose")

@@ -161,7 +161,7 @@ def look(
 
 
 def _why(pole: Pole, found: Detection) -> str:
-    """Why a candidate is no pole: the reason given for the cluster with most of its returns."""
+    """Why a candidate is not a pole: the reason given for the cluster with most of its returns."""
     shared = [(np.isin(each.index, pole.index).sum(), each.reason) for each in found.rejected]
     return max(shared, default=(0, ""))[1]
 
@@ -318,7 +318,7 @@ class Origin(NamedTuple):
     sender: str
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Both as text."""
         frame = f"frame {self.frame_id!r}" if self.frame_id else ""
         return " ".join(filter(None, (self.sender, frame))) or "a frame without a name"
@@ -413,10 +413,10 @@ def receive(lidar: Watched, clock: Callable[[], float]) -> Received:
         messages += frame.cloud.notes
         is_other = lidar.origin is not None
         if is_other:
-            messages.append(f"its sweeps now come from {origin.words}")
+            messages.append(f"its sweeps now come from {origin.text}")
         lidar.origin = origin
     if lidar.kept not in (None, origin):
-        fault = f"its sweeps come from {origin.words}, the stored ones from {lidar.kept.words}"
+        fault = f"its sweeps come from {origin.text}, the stored ones from {lidar.kept.text}"
         lidar.view = replace(view, fault=fault)
         return Received(None, tuple(messages), is_other)
     lidar.came.append((now, frame.number))

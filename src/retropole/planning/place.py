@@ -52,7 +52,7 @@ LIDAR_CLEARANCE = 1.0
 """Distance of poles from a LiDAR, metres."""
 
 MIN_FEET = 4
-"""With fewer positions for a foot there is no ground for poles."""
+"""With fewer positions for a foot the ground has no room for poles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,7 @@ def survey(
     if not (near < FARTHEST).any():
         raise Refusal(
             "no_ground",
-            f"no LiDAR recorded anything within {FARTHEST:g} m of it, the nearest return is "
+            f"no LiDAR recorded anything within {FARTHEST:g} m, the nearest return is "
             f"{near.min(initial=np.inf):.1f} m away: a pole cannot be set up where it would be "
             "seen",
             {"nearest_m": float(near.min(initial=np.inf)), "farthest_m": FARTHEST},
@@ -238,7 +238,7 @@ IN_VIEW = 0.7
 
 
 IN_FIELD = 0.95
-"""Share of a recording's returns that are in the field of view of its sensor, in its own frame."""
+"""Share of a recording's returns that are in the field of view of its sensor, in its frame."""
 
 
 @dataclass(frozen=True, eq=False)

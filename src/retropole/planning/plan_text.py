@@ -54,7 +54,7 @@ BY_EYE = 4.0
 WALK = (
     "Instead of setting up poles, walk with one in view of both: retropole watch TARGET SOURCE "
     "--carried. In 24 simulated walks of 40 s with two VLP-16, points 30 m away were off by 11 "
-    "mm in the median, by 31 mm at most."
+    "mm in the median, by at most 31 mm."
 )
 """Instead of poles that are set up (benchmarks/carried.py, seeds 6000 to 6023)."""
 
@@ -319,12 +319,12 @@ def sentences(
     )
     if need is not None and met is not None:
         yes = "will be met" if met >= 0.95 else "will hardly be met" if met < 0.5 else "may be met"
-        yield f"The need, {need.words}, {yes}: probability {whole_percent(met)}."
+        yield f"The need, {need.text}, {yes}: probability {whole_percent(met)}."
     rehearsal = planned.rehearsal
     if rehearsal.status == "ok":
         yield "Poles put into your recordings were found and calibrated: verdict ok."
     else:
-        # What a calibration advises is in its messages; here `more` says what would help.
+        # What a calibration advises is in its messages; here `more` names what would help.
         why = "; ".join(_titles(rehearsal))
         yield f"Poles put into your recordings gave the verdict {rehearsal.status}: {why}."
     if worst.budget:
@@ -347,8 +347,8 @@ def sentences(
     widest = max(float(each.max(initial=0.0)) for each in gaps)
     if widest > BY_EYE:
         yield (
-            f"Feet up to {widest:.1f} m apart: beyond {BY_EYE:g} m the directions in which the "
-            "poles lean matter, so lean them as planned."
+            f"Feet at up to {widest:.1f} m from each other: beyond {BY_EYE:g} m the directions in "
+            "which the poles lean matter, so lean them as planned."
         )
     for station in planned.stations:
         if not station.is_refined:

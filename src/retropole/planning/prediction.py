@@ -2,7 +2,7 @@
 afterwards.
 
 At the poses as they are known the returns of a pole have an information (`alignment.network`), with
-its own axis eliminated. Poles add up. An information is kept as its root, with the errors of the
+its axis eliminated. Poles add up. An information is kept as its root, with the errors of the
 LiDARs in units of what they are drawn to.
 """
 
@@ -236,7 +236,7 @@ def problem_of(
 
 
 def scene_information(stations: Sequence[Station], surfaces: Surfaces, unknowns: Unknowns) -> Array:
-    """(K, K) what the surfaces show of poses and errors where the LiDARs' poses are refined."""
+    """(K, K) information of the surfaces about poses and errors, for poses that are refined."""
     end = minimise(problem_of(known_poses(stations, unknowns.bands), stations, surfaces))
     information = np.zeros((unknowns.kept, unknowns.kept))
     for term in end.scene:

@@ -117,7 +117,7 @@ def place_drawn_lidars(
     Raises
     ------
     Refusal
-        ``no_ground`` if a LiDAR would record hardly any returns of them.
+        ``no_ground`` if a LiDAR would record hardly any returns on the poles.
     """
     surfaces: list[Surface] = [ground(ASPHALT), *boxes]
     scans = []
@@ -187,7 +187,7 @@ class Refined(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether the conflicts are so few that no other LiDAR need be used."""
+        """Whether the conflicts are too few to need another LiDAR."""
         return self.by_place and self.contradicting <= FEW * self.agreeing
 
 

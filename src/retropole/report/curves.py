@@ -22,7 +22,7 @@ RANGES = (1.0, *(5.0 * k for k in range(1, 13)))
 """Where the curves have their corners, metres: both are nearly straight beyond the first."""
 
 LEAST_GAP = 20.0
-"""Names of two curves are at least so far from each other."""
+"""Least distance between the names of two curves."""
 
 MOST_ABOVE = 4.0
 """A need beyond this many times the largest error is stated in words alone: its line would press
@@ -145,7 +145,7 @@ def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
         )
     if curve.need is not None:
         outside = "" if is_drawn else ", far above this picture"
-        text.append(f"Needed: {curve.need.words}{outside}.")
+        text.append(f"Needed: {curve.need.text}{outside}.")
     return " ".join(text)
 
 
@@ -164,7 +164,7 @@ def _figure(subject: Subject, found: SwayDoc, *, several: bool) -> Html:
     name = f"{name[0].upper()}{name[1:]}"
     if several:
         name += f", placement {subject.placement(found.placement)}"
-    text = f"{name}: {sway.words}."
+    text = f"{name}: {sway.text}."
     if len(sway.times_s) < 2:
         return fill("p", text=text)
     angles, last = [math.degrees(each) for each in sway.angles_rad], sway.times_s[-1]

@@ -156,12 +156,12 @@ def _histogram(cloud: PointCloud, detection: Detection) -> Iterator[Html]:
     yield fill("path", kind="bars", path="".join(bars))
     at = detection.threshold
     yield fill("line", kind="threshold", path=chart.line([at, at], [-0.3, decades]))
-    words = f"threshold {at:g}"
+    label = f"threshold {at:g}"
     (x, y), anchor = chart.at(np.array([[at, decades]]))[0], "end"
     if x < (chart.box[0] + chart.box[2]) / 2:
         anchor = "start"
     x += 6 if anchor == "start" else -6
-    yield fill("label", x=x, y=y + 12, anchor=anchor, style="threshold", text=words)
+    yield fill("label", x=x, y=y + 12, anchor=anchor, style="threshold", text=label)
 
 
 def _zooms(cloud: PointCloud, detection: Detection) -> Iterator[Html]:
@@ -183,13 +183,13 @@ def _zooms(cloud: PointCloud, detection: Detection) -> Iterator[Html]:
         left, half = 60.0 + 200 * k, 0.7 * size
         box = left, 740.0, left + 150, 890.0
         yield fill("zoom", kind=kind, x=box[0], y=box[1], wide=150, high=150)
-        for words, y in ((name, 718.0), (text, 733.0)):
+        for shown, y in ((name, 718.0), (text, 733.0)):
             place = {"x": left, "y": y, "anchor": "start"}
-            yield fill("label", **place, style=f"small {kind}", text=words)
+            yield fill("label", **place, style=f"small {kind}", text=shown)
         yield from _zoom(Chart(box, (-half, half), (-half, half)), cloud, index, size, shades)
     if not panels:
-        words = "no retro-reflective returns"
-        yield fill("label", x=620.0, y=800.0, anchor="middle", style="", text=words)
+        label = "no retro-reflective returns"
+        yield fill("label", x=620.0, y=800.0, anchor="middle", style="", text=label)
 
 
 def _zoom(

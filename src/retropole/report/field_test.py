@@ -54,7 +54,7 @@ def describe_field_test(document: FieldTestDoc) -> str:
     text = [f"  {sentence}" for sentence in sentences(pair, document.alpha)]
     if document.status != "refused" and (pair.target, pair.source) == LIDARS:
         text.append(_unnamed(document))
-    return "\n".join([*lines, *(part for words in text for part in wrapped(words, "    "))])
+    return "\n".join([*lines, *(part for sentence in text for part in wrapped(sentence, "    "))])
 
 
 def _unnamed(document: FieldTestDoc) -> str:
@@ -135,25 +135,25 @@ def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
         if out
         else f"all {len(pair.distances)} differences within their limits"
     )
-    words = [
+    comments = [
         f"{found}; LiDARs that measure as specified keep all limits with a probability of "
         f"at least {percent(1 - alpha)} (z = {pair.z or 0.0:.2f} for each)"
     ]
     if pair.variances is None:
-        words.append("variances were not compared: 3 sweeps or more of each LiDAR are needed")
+        comments.append("variances were not compared: 3 sweeps or more of each LiDAR are needed")
     else:
-        words.append(_variances(pair.variances))
+        comments.append(_variances(pair.variances))
     alone = sum(
         seen.target + seen.source - 2 * seen.compared for seen in pair.poles if seen.compared
     )
     if alone:
-        words.append(f"{counted(alone, 'pole')} seen by one LiDAR only: not compared")
+        comments.append(f"{counted(alone, 'pole')} seen by one LiDAR only: not compared")
     if pair.status == "fail":
-        words.append(
+        comments.append(
             "what to do: record again; if it fails again, a pole moved between the recordings, or "
             "one of the LiDARs measures worse than specified"
         )
-    return words
+    return comments
 
 
 def _variances(test: SpreadTest) -> str:
@@ -185,7 +185,7 @@ def render_field_test(document: FieldTestDoc) -> str:
 
 
 def _inputs(document: FieldTestDoc) -> Html:
-    """List serial numbers and recordings: what identifies what was tested."""
+    """List serial numbers and recordings: the identification of the tested LiDARs."""
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
     listed = table("What was tested", header, rows, (1, 3))
@@ -203,7 +203,7 @@ def field_test_section(document: FieldTestDoc) -> Html:
         if len(document.pairs) == 1 and pair.reasons:
             reasons = fill("reasons", items=join(map(reason_item, pair.reasons)))
         listed = table(*_distances(pair, pair.distances)) if pair.distances else EMPTY
-        text = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
+        text = fill_each("said", (f"{sentence}." for sentence in sentences(pair, document.alpha)))
         title = f"{pair.target}, {pair.source}: {pair.status}"
         parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=text))
     return fill("distances", parts=join(parts))

@@ -94,7 +94,7 @@ def result_figure(
         2, 2 + count, width_ratios=[3, 3] + [1.1] * count, height_ratios=(3, 1)
     )
     views = (
-        (np.eye(4), "before: each in its own frame"),
+        (np.eye(4), "before: each in its frame"),
         (T_target_source, "after: source in the frame of the target"),
     )
     at = [pole.point for pole in poles[0]]
@@ -145,7 +145,7 @@ def site_figure(
     names, poses
         Of each LiDAR; (4, 4) maps its points into the frame of the site.
     clouds
-        Of each LiDAR (N, 3), what it recorded, in its own frame; of no point where that is not at
+        Of each LiDAR (N, 3), what it recorded, in its frame; of no point where that is not at
         hand.
     poles
         (3,) each, in the frame of the site.
@@ -180,7 +180,7 @@ def site_figure(
             textcoords="offset points",
             weight="bold",
             bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.0},
-            # A name with dollar signs is no formula.
+            # A name with dollar signs is not a formula.
             parse_math=False,
         )
     above.set_title(f"all LiDARs in one frame: {frame}\nfrom above", parse_math=False)

@@ -75,8 +75,8 @@ def axis_words(axis: Array, vertical: Array | None) -> str:
 def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> Iterator[str]:
     """Name the options that would leave one hypothesis, as marked-up sentences.
 
-    A rotation separates them where none within reach of it, 3 σ of the default, is within reach of
-    two: whatever it is, it then leaves one at most.
+    A rotation separates them if none within its reach, 3 σ of the default, is within reach of
+    two: whatever it is, it then leaves at most one.
     """
     config, poses = result.config, [each.T_target_source for _, each in named]
     sigma = math.radians(DEFAULT_CONFIG.prior_sigma_deg)
@@ -85,7 +85,7 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
         upright = PosePrior(None, sigma)
         left = [name for (name, _), T in zip(named, poses, strict=True) if upright.allows(T)]
         if len(left) == 1:
-            yield f"`--up`, if both LiDARs stand upright to within {reach}, leaves {left[0]}"
+            yield f"`--up`, if both LiDARs are upright to within {reach}, leaves {left[0]}"
     if config.prior_rpy_deg is None and _least_turn(poses) > 2 * SIGMAS * sigma:
         instead = " instead of `--up`" if config.up else ""
         known = f"if you know the angles to within {reach}"
@@ -124,7 +124,7 @@ def describe_undecided(result: ResultDoc) -> list[str]:
         lines.append(f"  {name}{mark} {'  '.join(cells[:3])}    {'  '.join(cells[3:])}")
         if each is not result.hypotheses[0]:
             lines.append(f"       versus a: {relative_words(result, each)}")
-    lines += [f"  {plain(words)}" for words in deciding(result, named)]
+    lines += [f"  {plain(line)}" for line in deciding(result, named)]
     return lines
 
 
@@ -171,9 +171,9 @@ TRIED = {
 def tried_words(reasons: Sequence[ReasonDoc]) -> str:
     """State what a refusal left out to bound the time; empty if it tried all."""
     text = [
-        words.format(reason.values[tried], reason.values[found])
+        template.format(reason.values[tried], reason.values[found])
         for reason in reasons
-        for (found, tried), words in TRIED.items()
+        for (found, tried), template in TRIED.items()
         if found in reason.values and tried in reason.values
     ]
     return f"To bound the time, {', '.join(text)}" if text else ""

@@ -42,12 +42,12 @@ NAMED = 3
 
 
 class Listing(NamedTuple):
-    """A table: its caption, names of its columns, its rows, and which columns are words."""
+    """A table: its caption, names of its columns, its rows, and which columns are text."""
 
     caption: str
     header: Sequence[str]
     rows: Sequence[Sequence[object]]
-    words: Sequence[int] = ()
+    text_columns: Sequence[int] = ()
 
     def only(self, *columns: int) -> Listing:
         """Keep some columns."""
@@ -107,11 +107,11 @@ def _recorded(subject: Subject, k: int) -> Iterator[tuple[list[str], FoundDoc]]:
 
 
 def _of_placements(
-    caption: str, names: str, rows: Sequence[Sequence[object]], words: int
+    caption: str, names: str, rows: Sequence[Sequence[object]], text_columns: int
 ) -> Listing:
     several = bool(rows) and len(rows[0]) > len(columns(names))
     header = columns(("placement; " if several else "") + names)
-    return Listing(caption, header, rows, range(1, words + several))
+    return Listing(caption, header, rows, range(1, text_columns + several))
 
 
 def rejected_mark(lidar: int, k: int) -> str:
@@ -158,7 +158,7 @@ def hypotheses(result: ResultDoc) -> Listing:
 
 
 def name_of(k: int, hypothesis: HypothesisDoc) -> str:
-    """Name the k-th hypothesis, and say that it is chosen."""
+    """Name the k-th hypothesis, and mark it if it is chosen."""
     return hypothesis_name(k) + (" · chosen" if hypothesis.chosen else "")
 
 
@@ -396,7 +396,7 @@ def carried_words(found: SiteWalk) -> str:
 
 def scene_words(result: ResultDoc) -> str | None:
     """State how many patches agree or contradict the pose; None if the scene was not used."""
-    return None if result.confirmation is None else result.confirmation.words
+    return None if result.confirmation is None else result.confirmation.text
 
 
 def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
@@ -427,7 +427,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
             yield f"main error source at {BUDGET_RANGE:g} m: {largest}"
     if site.sways:
         found = max(site.sways, key=lambda each: each.sway.left_rad)
-        yield f"swayed while recorded: {subject.called(found.lidar)} {found.sway.words}"
+        yield f"swayed while recorded: {subject.called(found.lidar)} {found.sway.text}"
     yield from clocks(subject)
     if site.walk is not None:
         others = (k for k in range(len(site.lidars)) if k != site.reference)
@@ -460,14 +460,14 @@ def clocks(subject: Subject) -> Iterator[str]:
         shift = (other.clock_offset_s or 0.0) - (one.clock_offset_s or 0.0)
         both = is_set(one.clock_offset_s or 0.0) and is_set(other.clock_offset_s or 0.0)
         if one.sha256 == other.sha256 and both and abs(shift) >= NOTICED:
-            words = words_of(shift, f"that of {subject.called(one.lidar)}")
-            compared.setdefault((one.lidar, other.lidar), f"{subject.called(other.lidar)} {words}")
+            ahead = words_of(shift, f"that of {subject.called(one.lidar)}")
+            compared.setdefault((one.lidar, other.lidar), f"{subject.called(other.lidar)} {ahead}")
     text = list(compared.values())
     for k, each in alone.items():
         shift = each.clock_offset_s or 0.0
         if abs(shift) >= NOTICED and not any(k in lidars for lidars in compared):
             text.append(f"{subject.called(k)} {words_of(shift)}")
-    yield from (f"the clock of {words}; no time was changed" for words in text[:NAMED])
+    yield from (f"the clock of {which}; no time was changed" for which in text[:NAMED])
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:

@@ -28,7 +28,7 @@ LEAST_SPAN = 2.0
 """A site is drawn as at least so wide, metres."""
 
 SEEN_ELLIPSE = 34.0
-"""The largest half axis is at most so long in the picture."""
+"""Longest half axis in the picture."""
 
 DOUBT_W = 1.96
 """A sound observation is beyond this once in twenty times; beyond `POOR` the verdict says so."""
@@ -151,7 +151,7 @@ def _direction(plan: Plan) -> Html:
 
 def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
     """Describe the picture, also for those who do not see it."""
-    text = [f"Seen from above; up is {plan.words}."]
+    text = [f"Seen from above; up is {plan.up}."]
     if plan.north:
         text.append(f"{plan.north.capitalize()} is at the top.")
     fixed = [each.name for each in site.lidars if not np.any(each.covariance)]
@@ -233,5 +233,5 @@ def _graph(site: SiteDoc) -> Html:
         width=f"{WIDTH:g}",
         height=f"{GRAPH_HEIGHT:g}",
         marks=join((*lines, *nodes, *figures)),
-        legend=join(fill("level", level=level, words=words) for level, words in LEVELS),
+        legend=join(fill("level", level=level, text=text) for level, text in LEVELS),
     )

@@ -51,7 +51,7 @@ def join(parts: Iterable[Html]) -> Html:
 def fill(piece: str, /, **places: object) -> Html:
     """Fill the places of a piece in `pieces.html`; what is no `Html` is escaped, and visible.
 
-    Numbers that are no integers are places in a picture, and have one digit behind the point.
+    Numbers that are not integers are places in a picture, and have one digit behind the point.
     """
     return Html(_pieces()[piece].substitute({name: _markup(v) for name, v in places.items()}))
 
@@ -172,12 +172,12 @@ def table(
 
 def listed(listing: Listing) -> Html:
     """Arrange a table; of a long one the first `SHOWN` rows, the rest folded away."""
-    caption, header, rows, words = listing
+    caption, header, rows, text_columns = listing
     if len(rows) <= SHOWN:
-        return table(caption, header, rows, words) if rows else EMPTY
-    rest = table(f"{caption}: the rest", header, rows[SHOWN:], words)
+        return table(caption, header, rows, text_columns) if rows else EMPTY
+    rest = table(f"{caption}: the rest", header, rows[SHOWN:], text_columns)
     more = folded(f"{len(rows) - SHOWN} more", rest)
-    return fill("stack", body=join((table(caption, header, rows[:SHOWN], words), more)))
+    return fill("stack", body=join((table(caption, header, rows[:SHOWN], text_columns), more)))
 
 
 def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:

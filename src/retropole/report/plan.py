@@ -18,14 +18,14 @@ class Plan:
     ----------
     R_plan_site
         (3, 3) turns the site's axes so that z points up.
-    words
+    up
         What was taken for up.
     north
         What the y axis points to, ``north`` or ``grid north``; None if nobody knows.
     """
 
     R_plan_site: Array
-    words: str
+    up: str
     north: str | None
 
 

@@ -95,14 +95,14 @@ def _kind(document: PolePlanDoc) -> str:
 def _verdict(document: PolePlanDoc) -> Html:
     first, *others = document.words or [""]
     kind, need = _kind(document), document.need
-    requested = "" if need is None else f"; requested: {need.words}"
+    requested = "" if need is None else f"; requested: {need.text}"
     title = f"{error(max(stated(document)))} to expect at {document.range_m:g} m (1 σ){requested}"
     return verdict_box(
         kind,
         SYMBOLS[kind],
         title,
         fill(
-            "plan-words",
+            "plan-text",
             first=fill("strong", text=first),
             others=fill("statements", items=fill_each("li", others)) if others else EMPTY,
         ),
@@ -112,7 +112,7 @@ def _verdict(document: PolePlanDoc) -> Html:
 def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
     """Write the picture, and next to it where each pole is."""
     rows = [
-        fill("plan-row", name=pole.name, words=_where(pole.words), kind=p % 4)
+        fill("plan-row", name=pole.name, text=_where(pole.words), kind=p % 4)
         for p, placement in enumerate(document.placements)
         for pole in placement.poles
     ]
@@ -137,13 +137,13 @@ def _place(document: PolePlanDoc, picture: PlanPicture, view: View) -> Html:
     )
 
 
-def _where(words: str) -> str:
+def _where(text: str) -> str:
     """Position of a pole, without its name before it."""
-    return words.partition(": ")[2] or words
+    return text.partition(": ")[2] or text
 
 
 def _poles(document: PolePlanDoc) -> Html:
-    """List the poles, and what each LiDAR will have of them."""
+    """List the poles, and the returns that each LiDAR will have on them."""
     names = [each.name for each in document.lidars]
     several = len(document.placements) > 1
     rows = []
@@ -260,7 +260,7 @@ def _card(document: PolePlanDoc, picture: PlanPicture, view: View, p: int) -> Ht
     placement = document.placements[p]
     several = len(document.placements) > 1
     poles = [
-        fill("plan-card-pole", name=pole.name, words=_where(pole.words)) for pole in placement.poles
+        fill("plan-card-pole", name=pole.name, text=_where(pole.words)) for pole in placement.poles
     ]
     size = f"{document.length_m:g} m long, {2e3 * document.radius_m:.0f} mm thick"
     millimetres = min(CARD_MM[0] / WIDTH, CARD_MM[1] / view.height)

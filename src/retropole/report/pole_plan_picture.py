@@ -42,7 +42,7 @@ ARROW = 30.0
 """Length of a LiDAR's x axis in the picture."""
 
 LEAST_STROKE = 25.0
-"""A leaning pole is drawn as at least so long in the picture: its foot covers less."""
+"""Least length of a leaning pole in the picture: its foot covers less."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ def poses(subject: Subject, curve: ErrorCurve | None = None) -> Html:
 
 
 def _copies_of_site(site: SiteDoc) -> Html:
-    """Show the frames of a whole site in formats that take all of them, folded."""
+    """Show the frames of a whole site in formats that take all frames, folded."""
     try:
         tree = tree_of(site)
     except RetropoleError:
@@ -217,7 +217,7 @@ def certainty(subject: Subject) -> Html:
 
 
 def uncertainty(subject: Subject, k: int) -> Html:
-    """Show how certain the pose of the k-th LiDAR is, what that means, and what it is made of."""
+    """Show the uncertainty of the k-th LiDAR's pose, its effect, and its sources."""
     pair, lidar, name = subject.pair, subject.site.lidars[k], subject.called(k)
     parts = None if pair is None else pair.uncertainty
     kinds = covariances(lidar, parts)
@@ -264,7 +264,7 @@ def _weakest(pair: ResultDoc) -> Html:
         return EMPTY
     direction = ", ".join(numbers(weakest.direction, 2))
     ratio = number(weakest.condition, 1)
-    return fill("weakest", words=weakest.words, direction=direction, ratio=ratio)
+    return fill("weakest", text=weakest.words, direction=direction, ratio=ratio)
 
 
 def ranges(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Listing:
@@ -434,20 +434,20 @@ def _poles(pair: ResultDoc) -> str:
     """State the number of poles used, and their radius."""
     placements, radius = len(pair.inputs) // 2, radius_words(pair)
     pairs = 0 if pair.chosen is None else len(pair.chosen.pairs)
-    words = (
+    parts = (
         counted(pairs, "pair of poles", "pairs of poles") if pairs else "",
         counted(placements, "placement") if placements > 1 else "",
         "" if radius is None else f"radius {radius} (1 σ)",
     )
-    return ", ".join(each for each in words if each)
+    return ", ".join(each for each in parts if each)
 
 
 def _budget(budget: list[BudgetEntry]) -> Html:
     """List the largest sources of error, and the sum of all others."""
     entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
-    caption, header, rows, words = sources("Uncertainty budget", entries[:LISTED_SOURCES])
+    caption, header, rows, text_columns = sources("Uncertainty budget", entries[:LISTED_SOURCES])
     rest = entries[LISTED_SOURCES:]
     if rest:
         shared = percent(sum(entry.share_at_30m for entry in rest))
         rows = [*rows, [f"{len(rest)} smaller", *[UNKNOWN] * (len(header) - 2), shared]]
-    return table(caption, header, rows, words) if rows else EMPTY
+    return table(caption, header, rows, text_columns) if rows else EMPTY

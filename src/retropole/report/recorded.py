@@ -92,11 +92,11 @@ def _of_pair(subject: Subject, pair: ResultDoc) -> Html:
     """Show how well the poles of a pair agree under its pose."""
     if pair.T_target_source is None:
         return EMPTY
-    millimetres, words = 1000 * pair.config.radius_m, radius_words(pair)
+    millimetres, text = 1000 * pair.config.radius_m, radius_words(pair)
     return fill(
         "agreement",
         residuals=listed(_residuals(subject, pair)),
-        radius="" if words is None else fill("radius", words=words),
+        radius="" if text is None else fill("radius", text=text),
         given=f"{millimetres:g}",
         apart=f"{millimetres * math.pi / 2:.0f}",
         sections=cross_sections(subject),
@@ -141,7 +141,7 @@ def run(subject: Subject) -> Html:
     ]
     names = "path; points; dropped; sensor; threshold; sha256"
     header = columns(f"LiDAR; {'placement; ' if several else ''}{names}")
-    words = [k for k, name in enumerate(header) if name in ("placement", "path", "sensor")]
+    texts = [k for k, name in enumerate(header) if name in ("placement", "path", "sensor")]
     notes = [
         f"{', '.join(row[: 1 + several])}: {note}"
         for row, item in zip(inputs, site.inputs, strict=True)
@@ -149,7 +149,7 @@ def run(subject: Subject) -> Html:
     ]
     steps = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in site.seconds.items())
     times = f"Time: {sum(site.seconds.values()):.2f} s ({steps})." if steps else ""
-    inputs_table = table("Inputs", header, inputs, (*words, len(header) - 1)) if inputs else ""
+    inputs_table = table("Inputs", header, inputs, (*texts, len(header) - 1)) if inputs else ""
     return fill(
         "run",
         version=site.version,
@@ -252,7 +252,7 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
     """Draw one pair: points (N, 3) and (M, 3), the source's origin (3,), in the target frame."""
     centre, axes = across(np.concatenate([target, source]))
     flat = [(points - centre) @ axes.T for points in (target, source)]
-    # Returns lie in front of the axis: it is to be found on the far side of them.
+    # Returns lie in front of the axis: it is to be found on their far side.
     sensors = [-(axes @ centre), axes @ (origin - centre)]
     towards = [s / max(float(np.linalg.norm(s)), 1e-9) for s in sensors]
     start = -np.mean(towards, axis=0) * radius * np.pi / 4
@@ -274,13 +274,13 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
         for colour, (x, y) in zip(colours, towards, strict=True)
     )
     bar = 10.0 ** np.floor(np.log10(half_width))
-    words, kind = f"{1000 * rms:.1f} mm rms from the surface", ""
+    text, kind = f"{1000 * rms:.1f} mm rms from the surface", ""
     if not converged:
-        words, kind = f"{words} (the fit of the circle did not converge)", " unconverged"
+        text, kind = f"{text} (the fit of the circle did not converge)", " unconverged"
     return fill(
         "section",
         name=name,
-        words=words,
+        text=text,
         returns=f"{len(target)} + {len(source)} returns",
         dots=dots,
         rim=rim,

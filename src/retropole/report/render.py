@@ -52,17 +52,18 @@ def render_report(
     document
         The result document, of a pair or of a site.
     recorded
-        What was recorded and found, each cloud in its own frame: of a pair in each placement of the
-        poles, of a site by each LiDAR, None if it is not shown. The first placement of a pair is
-        the one whose poles the result lists; of several, the page lets its reader choose. A
-        detection brings the rejected clusters and the points on the poles into the page; leave it
-        out where its poles are not those of the result. Without any, the page of a site has no view
-        of clouds.
+        What was recorded and found, each cloud in the frame of its LiDAR: of a pair in each
+        placement of the poles, of a site by each LiDAR, None if it is not shown. The first
+        placement of a pair is the one whose poles the result lists; of several, the page lets its
+        reader choose. A detection brings the rejected clusters and the points on the poles into the
+        page; leave it out where its poles are not those of the result. Without any, the page of a
+        site has no view of clouds.
     notes
         What a reader has to know before all else, for example that an input is not the file that
         the run read.
     max_points
-        At most this many points of each cloud are put into the page, which says how many it shows.
+        At most this many points of each cloud are put into the page, which states how many it
+        shows.
     site, serials
         Where it was calibrated, and serial numbers by the names of LiDARs, those of a pair
         ``target`` and ``source``, for the certificate; without, those of the document, or a line

@@ -138,7 +138,7 @@ def describe_result(
     *,
     verbose: bool = False,
 ) -> str:
-    """Write a result as a person reads it: the verdict first, and a screen at most.
+    """Write a result as a person reads it: the verdict first, and at most a screen.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def describe_result(
     if instead:
         tail += wrapped(f"what to do instead: {instead}", "  ")
     elif answered:
-        tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
+        tail += [f"{lead}: {printable(command)}" for lead, command in (following or {}).items()]
     if verbose:
         reasons = reasons_whole(site.status, [*site.reasons, *site.notes])
         poses, found = _poses(subject, len(site.lidars) + 2), [*_found(subject), *_more(subject)]
@@ -233,7 +233,7 @@ def _more(subject: Subject) -> list[str]:
     site, pair, lines = subject.site, subject.pair, []
     if pair is not None:
         lines += _lines(listings.hypotheses(pair))
-        lines += [f"  {words}" for words in [margin_words(pair)] if words]
+        lines += [f"  {margin}" for margin in [margin_words(pair)] if margin]
     else:
         lines += _lines(listings.changes(subject))
     tried = tried_words(site.reasons)
@@ -327,8 +327,8 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     listed = detection.rejected
     if not detection.poles and detection.threshold_source.endswith(LITTLE):
         # Their reasons are of pieces of the ground and of walls.
-        words = "nothing is distinctly brighter than the rest: no tape is in view, or the "
-        parts += ["", *wrapped(words + "intensity is not the measured one", "  ")]
+        message = "nothing is distinctly brighter than the rest: no tape is in view, or the "
+        parts += ["", *wrapped(message + "intensity is not the measured one", "  ")]
         listed = listed[:FEW_LISTED]
     parts += ["", counted(len(detection.rejected), "rejected cluster")]
     if len(listed) < len(detection.rejected):

@@ -42,13 +42,13 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
         How far off points are, if that is known.
     """
     site = subject.site
-    symbol, title, words = VERDICTS.get(site.status, ("?", site.status, ""))
+    symbol, title, template = VERDICTS.get(site.status, ("?", site.status, ""))
     if site.status in ("ok", "warn") and subject.pair is None:
         title += f": {counted(len(site.lidars), 'LiDAR')} in one frame"
     paths = tuple(item.path for item in site.inputs)
     items = join(reason_item(reason, paths) for reason in site.reasons)
     requested, is_short = fitness_words(subject), subject.answered
-    text, meaning = requested and f"{requested}.", words.format(subject.frame)
+    text, meaning = requested and f"{requested}.", template.format(subject.frame)
     if subject.chance_wrong is not None:
         title, meaning = "Calibrated, not to be used yet", inline(instead_words(subject))
     elif is_short:
@@ -69,7 +69,7 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
 
 
 def instead_words(subject: Subject) -> str:
-    """Say, as Markdown, what to do instead of using what is too likely wrong; else empty."""
+    """Give, as Markdown, the alternative to an answer that is too likely wrong; else empty."""
     if subject.chance_wrong is None:
         return ""
     trusted = (

@@ -31,7 +31,8 @@ MAX_RECORDING_POINTS = 300_000
 """Points of each cloud in the page of recordings, about 3.6 MB."""
 
 SEEN_SIGMA = 0.7
-"""The ellipsoid is enlarged by a power of ten until its longest half axis is about so long, metres.
+"""The ellipsoid is enlarged by a power of ten until its longest half axis is about this length,
+metres.
 """
 
 MAX_CONTRADICTING = 2000
@@ -203,7 +204,7 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
 
 
 def recordings_view(names: Sequence[str], scans: Sequence[Scan]) -> PageView:
-    """Pack recordings, each in its own frame and with a threshold to move where it has tape."""
+    """Pack recordings, each in its frame and with a threshold to move where it has tape."""
     budget = min(MAX_RECORDING_POINTS, MAX_SITE_POINTS // len(scans))
     clouds = []
     for k, scan in enumerate(scans):
@@ -277,7 +278,7 @@ def _shown(clouds: Sequence[CloudView]) -> str:
     shown, total, far = (
         sum(getattr(each.points, name) for each in clouds) for name in ("shown", "total", "far")
     )
-    text = f"{counted(len(clouds), 'cloud')}; the page holds {shown:,} of {total:,} points"
+    text = f"{counted(len(clouds), 'cloud')}; the page shows {shown:,} of {total:,} points"
     return text + (f", {far:,} beyond {MAX_SHOWN_RANGE:g} m left out" if far else "")
 
 

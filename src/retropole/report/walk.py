@@ -1,4 +1,4 @@
-"""The walk with one pole, from above, and the clocks of the LiDARs in each part of it."""
+"""The walk with one pole, from above, and the clocks of the LiDARs in each part."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHADES = 6
 
 
 def walk(subject: Subject) -> Html:
-    """Show the walk; nothing of poles that stood."""
+    """Show the walk; nothing of fixed poles."""
     found = subject.site.walk
     if found is None or not subject.answered:
         return EMPTY

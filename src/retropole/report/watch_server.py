@@ -2,7 +2,7 @@
 
 The page contains nothing of a watch itself: it fetches ``state`` next to it, a `WatchDoc`, again
 and again. One request a connection, few connections, and none for long: whoever else is in the
-network can neither ask for it without its address nor keep others from it for more than moments. It
+network can neither request it without its address nor keep others from it for more than moments. It
 is plain HTTP: who can read the traffic of the network reads it, too.
 """
 
@@ -121,7 +121,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
         return True
 
     def service_actions(self) -> None:
-        """Close what is open for too long, which ends its thread: called again and
+        """Close connections of too long a time, which ends its thread: called again and
         again."""
         self._close_older(LONGEST_SECONDS)
 
@@ -138,7 +138,7 @@ class WatchServer(ThreadingMixIn, TCPServer):
             self._open.pop(request, None)
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Write nothing: what others send is no line on a terminal."""
+        """Write nothing: requests of others are not shown on a terminal."""
 
 
 class _Answering(BaseHTTPRequestHandler):
@@ -195,7 +195,7 @@ class _Answering(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Refuse what is no request, or another than GET."""
+        """Refuse an invalid request, or any but GET."""
         self._answer(code, REFUSED)
 
     def log_message(self, format: str, *args: object) -> None:

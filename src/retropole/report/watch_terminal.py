@@ -45,17 +45,17 @@ def _below(said: WatchDoc) -> Iterator[RenderableType]:
     for lidar in said.lidars:
         if lidar.skipped:
             yield Text(printable(lidar.skipped))
-    words = []
+    parts = []
     if said.angle_rad is not None:
-        words.append(f"angle between the poles {math.degrees(said.angle_rad):.0f}°")
+        parts.append(f"angle between the poles {math.degrees(said.angle_rad):.0f}°")
     if said.placements:
-        words.append(f"placements kept {said.placements}")
+        parts.append(f"placements kept {said.placements}")
     if said.need is not None:
         now = ""
         if said.bound_m is not None and said.probability is not None:
             now = f", now {at_most(said.bound_m)}, {whole_percent(said.probability)}"
-        words.append(f"needed {said.need.words}{now}")
-    yield Text("; ".join(words))
+        parts.append(f"needed {said.need.text}{now}")
+    yield Text("; ".join(parts))
     for line in said.words[-6:]:
         yield Text(printable(line), style="dim")
 

@@ -114,7 +114,7 @@ class PolesDoc(msgspec.Struct, frozen=True, eq=False):
 
 
 class InputDoc(msgspec.Struct, frozen=True):
-    """What was read, what was left out of too many, and in `notes` what was lost.
+    """What was read, how many surplus points were left out, and in `notes` other losses.
 
     `frame_id` is the frame of its points by the words of the recording; empty if it has none, or
     several, or what can be no name. `clock_offset_s` is how far the LiDAR's clock is ahead of the
@@ -386,10 +386,10 @@ def reason_document(reason: Reason | Refusal) -> ReasonDoc:
     return ReasonDoc(reason.code, reason.message, values)
 
 
-def refusal_of(reasons: Sequence[ReasonDoc], words: str = "") -> Refusal:
+def refusal_of(reasons: Sequence[ReasonDoc], prefix: str = "") -> Refusal:
     """Give the refusal of a document: its first reason, after some words."""
     why = next(iter(reasons), ReasonDoc("refused", "the result gives no reason", {}))
-    return Refusal(cast("Code", why.code), words + why.message, why.values)
+    return Refusal(cast("Code", why.code), prefix + why.message, why.values)
 
 
 def with_threshold(source: Input, scan: Scan | None) -> Input:

@@ -32,8 +32,8 @@ class PairTestDoc(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FieldTestDoc(msgspec.Struct, frozen=True, kw_only=True):
-    """The test of all pairs of LiDARs: fail where one fails, refused if none could be tested,
-    partial where some LiDARs, `untested`, are in no pair that was.
+    """The test of all pairs of LiDARs: fail if one fails, refused if none could be tested, partial
+    if some LiDARs, `untested`, are in no tested pair.
 
     Of a site file, `site` is its name, and `serials` are the serial numbers by the names of LiDARs.
     """

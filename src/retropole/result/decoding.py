@@ -53,7 +53,7 @@ def decode(data: bytes) -> ResultDoc:
     Raises
     ------
     ReadError
-        If it is not one; names the field, and says what is wrong with it.
+        If it is not one; names the field, and states what is wrong.
     """
     document = parsed(data, ResultDoc, "result document")
     _check_verdict(document, {"T_target_source": document.T_target_source})
@@ -76,7 +76,7 @@ def decode_site(data: bytes) -> SiteDoc:
     Raises
     ------
     ReadError
-        If it is not one; names the field, and says what is wrong with it.
+        If it is not one; names the field, and states what is wrong.
     """
     document = parsed(data, SiteDoc, "result document of a site")
     stated = {
@@ -97,7 +97,7 @@ def decode_plan(data: bytes) -> PolePlanDoc:
     Raises
     ------
     ReadError
-        If it is not one; names the field, and says what is wrong with it.
+        If it is not one; names the field, and states what is wrong.
     """
     plan = parsed(data, PolePlanDoc, "plan of poles")
     names = [lidar.name for lidar in plan.lidars]

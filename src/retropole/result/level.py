@@ -27,7 +27,7 @@ LEVEL_SCHEMA: Literal["retropole/level/1"] = "retropole/level/1"
 LEVEL_COVARIANCE_FRAME = "ground axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
 
 SAME_POSE = 1e-6
-"""Poses of one result agree so far, metres and parts of 1."""
+"""Poses of one result agree within this, metres and parts of 1."""
 
 
 class LidarLevelDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):

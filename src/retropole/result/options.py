@@ -256,12 +256,12 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def source_unit(self) -> Unit:
-        """Unit of the source: its own, or else that of the target."""
+        """Unit of the source, or else that of the target."""
         return self.unit_source or self.unit
 
     @property
     def source_intensity(self) -> str | None:
-        """Field of the source's intensity: its own, empty for the usual, or else the target's."""
+        """Field of the source's intensity, empty for the usual, or else that of the target."""
         own = self.intensity_source
         return self.intensity if own is None else own
 

@@ -134,8 +134,8 @@ class PredictedDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
 
 class MoreDoc(msgspec.Struct, frozen=True, kw_only=True):
     """What one ``pole`` or ``placement`` more would bring: largest 1 σ of all LiDARs at the range,
-    the same by the poles alone, the part of the error that it takes away, whether that is worth it.
-    `status` is the verdict of its rehearsal; None if the plan's own is ok, and none is needed.
+    the same by the poles alone, the part of the error that it removes, whether that is worth it.
+    `status` is the verdict of its rehearsal; None if that of the plan is ok, and none is needed.
     """
 
     what: Literal["pole", "placement"]

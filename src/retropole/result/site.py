@@ -69,8 +69,8 @@ SITE_COVARIANCE_FRAME = "site axes: R_true = Exp(phi) R, t_true = t + delta; rad
 class SiteConfig(msgspec.Struct, frozen=True, kw_only=True):
     """How a site was read: the site file, and the options of the run.
 
-    None stands for frames evenly spread; frames are start, stop and step. A pole that was carried
-    stands nowhere.
+    None means frames evenly spread; frames are start, stop and step. A pole that was carried
+    has no fixed place.
     """
 
     site_file: Text = ""

@@ -127,8 +127,9 @@ class WatchDoc(msgspec.Struct, frozen=True, kw_only=True):
     placements
         How many are kept whole.
     predicted_error, bound_m
-        Of the answer with what is kept so far, 1 σ at several ranges; and what no point up to the
-        need's range is off by more than, with 95 % probability. None and empty before the first.
+        Of the answer with what is kept until now, 1 σ at several ranges; and what no point up to
+        the need's range is off by more than, with 95 % probability. None and empty before the
+        first.
     probability
         That the need is fulfilled.
     status

@@ -60,7 +60,7 @@ class NoiseModel:
     elevation
         Systematic: error of the elevation of all beams, rad.
     elevation_scale
-        Systematic: error of the elevation as a part of it.
+        Systematic: error of the elevation as a fraction.
     pointing_noise
         1 σ of the direction of each shot in each of two directions across it, rad.
     noise_growth

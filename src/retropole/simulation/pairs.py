@@ -205,7 +205,7 @@ pole in view, and in 30 seeds no scene needed more than 2."""
 
 
 class SimulationError(RetropoleError):
-    """No arrangement of poles and LiDARs, or no recording of it, fulfils the demands."""
+    """No arrangement of poles and LiDARs, or no recording, fulfils the demands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,7 +358,7 @@ def record_in_turn(
     scenes
         All surfaces as they are when each LiDAR records.
     poses, recorders
-        Of each LiDAR, and each of them.
+        Of each LiDAR, and each LiDAR itself.
     reach
         Half extents in x and y in which movers start, metres.
     rng
@@ -436,7 +436,7 @@ def place_again(
     Parameters
     ----------
     pair
-        From `simulate_pair`; its poles are taken away.
+        From `simulate_pair`; its poles are removed.
     rng
         As there.
     noise

@@ -25,10 +25,10 @@ SHARPNESS_POINTS = 20_000
 """The axis is searched with at most this many points (chosen: 10 ms a step)."""
 
 LEVEL_BIN = float(np.radians(0.02))
-"""Elevations are counted in bins of this size, rad: a fifth of the closest rings (chosen)."""
+"""The histogram of elevations has bins of this size, rad: a fifth of the closest rings (chosen)."""
 
 LEVEL_SHARE = 0.7
-"""Elevations are rings if so large a share of the returns lies on them (chosen; recordings of
+"""Elevations are rings if so large a share of the returns lies on the rings (chosen; recordings of
 spinning LiDARs have 0.9 and more, a raster of directions has none)."""
 
 ON_RING = float(np.radians(0.2))
@@ -58,7 +58,7 @@ class RecordedBeams:
     rings
         (M,) index of the ring; −1 where it is not known.
     like
-        (M,) index of a return on the same ring next to it; of a return, its own.
+        (M,) index of a return on the same ring next to it; of a return, its index.
     """
 
     origin: Array
@@ -71,8 +71,8 @@ class RecordedBeams:
 def recorded_beams(cloud: PointCloud, sensor: Sensor | None = None) -> RecordedBeams:
     """Find the beams of a recording.
 
-    A recording shows nothing of a beam without a return. Where neighbours on one ring are more
-    than `MIN_GAP` steps apart, the beams between them are put back evenly, at the elevation of
+    A recording shows nothing of a beam without a return. Where neighbours on one ring differ by
+    more than `MIN_GAP` steps, the beams between them are put back evenly, at the elevation of
     both, so that a pole against the sky is hit. Rings come from the cloud, or else from
     elevations that come in sharp levels. Without rings, as of a solid-state LiDAR, no beam is
     put back. Where a sensor that spins is given and the returns lie on its rings, all beams that
@@ -219,7 +219,7 @@ def levels(sines: Array) -> IntArray:
     full = np.bincount(bins, minlength=int(np.pi / LEVEL_BIN) + 2) >= 15
     edges = np.flatnonzero(np.diff(np.r_[False, full, False].astype(np.int64)))
     starts, ends = edges[::2], edges[1::2]
-    # Rings of the table of sensors are 8 bins apart or more.
+    # Rings of the table of sensors differ by 8 bins or more.
     narrow = ends - starts <= 6
     for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
         # A neighbouring bin has what fell over its edge.
@@ -329,7 +329,7 @@ def _tape(
     recorded: Array | None, sensor: Sensor | None, cosine: Array, rng: np.random.Generator
 ) -> Array:
     """Intensities of tape on the scale of the recording, saturated at normal incidence."""
-    # A cloud without intensity gets the scale of a byte, and its own returns 0.
+    # A cloud without intensity gets the scale of a byte, and its returns 0.
     top = 255.0 if recorded is None else float(recorded.max(initial=0.0))
     if sensor is None:
         # 8-bit sensors have the weakest tape at 200 of 255 (Xue et al. 2019, Table I).

@@ -36,7 +36,7 @@ class LabelledScan:
     cloud
         In the sensor's frame.
     labels
-        (N,) index of the surface of each point in the scene; −1 for one that lies on none of them:
+        (N,) index of the surface of each point in the scene; −1 for one that lies on none:
         on something that moves, or next to tape that blooms.
     """
 

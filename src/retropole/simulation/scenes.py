@@ -162,7 +162,7 @@ def harbor(rng: np.random.Generator) -> Surroundings:
 
 
 def bare(rng: np.random.Generator) -> Surroundings:
-    """Give flat ground and nothing else."""
+    """Give flat ground only."""
     return Surroundings([ground(ASPHALT)], (6.0, 5.0))
 
 
@@ -298,7 +298,7 @@ def draw_poles(
     clear
         Half extents of the ground below them, metres.
     angles
-        Least and greatest angle between any two of them, rad.
+        Least and greatest angle between any two poles, rad.
     radius
         Metres.
 
@@ -379,7 +379,7 @@ PAPER_RADIUS = 0.02
 """Of the paper's poles, metres."""
 
 PAPER_NOISE = replace(EXACT, isotropic_noise=0.006)
-"""Zero-mean Gaussian noise with σ = 6 mm in each coordinate, and nothing else."""
+"""Zero-mean Gaussian noise with σ = 6 mm in each coordinate, and no other error."""
 
 PAPER_POLE_LENGTH = 6.0
 """Centred on z = 0, metres. The paper states none. With poles of 2 m, which a person can carry, its
@@ -403,7 +403,7 @@ def paper_lidar_poses() -> tuple[Array, Array]:
 
 
 def draw_paper_poles(rng: np.random.Generator, radius: float = PAPER_RADIUS) -> list[Cylinder]:
-    """Draw the two poles: n_z > 0.9, axis points in z = 0 with 2 ≤ ‖p‖ ≤ 3, 1.5 to 4 m apart.
+    """Draw the two poles: n_z > 0.9, axis points in z = 0 with 2 ≤ ‖p‖ ≤ 3, distance 1.5 to 4 m.
 
     The paper also places both points on the y axis, which contradicts these distances. Here they
     are drawn anywhere in z = 0. Both loops repeat until a draw fits: two in five pairs of points

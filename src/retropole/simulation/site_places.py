@@ -243,8 +243,8 @@ NEAREST = 2.0
 """No pole is nearer to a LiDAR, metres: it would see a piece that is too short for a line."""
 
 FARTHEST = 12.0
-"""Poles further from a LiDAR link it to no other, metres: tape is wrapped and poles are stood where
-their returns are many (docs/poles.md has 2 to 8 m)."""
+"""Poles further from a LiDAR link it to no other, metres: tape is wrapped and poles are set up
+where their returns are many (docs/poles.md has 2 to 8 m)."""
 
 MAX_DRAWS = 100
 """Draws of a place before a `SimulationError`."""

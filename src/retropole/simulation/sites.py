@@ -77,7 +77,7 @@ class SimulatedSite:
         (4, 4) true pose of each LiDAR.
     clouds, labels
         ``clouds[lidar][placement]`` in the LiDAR's frame, and the index of the surface that each
-        point lies on: in `surroundings`, then `poles` of the placement; −1 on none of them. None
+        point lies on: in `surroundings`, then `poles` of the placement; −1 on none. None
         where it recorded none.
     surroundings
         All objects but the poles, in the world frame.
@@ -159,7 +159,7 @@ def simulate_site(
     kind
         One of `SITES`. In a ``ring`` each LiDAR shares a separate placement with the next: two
         poles that a half turn about the vertical maps onto each other, on bare ground, so that only
-        the ring as a whole decides. The others record nothing of it.
+        the ring as a whole decides. The others record nothing there.
     rng
         Source of everything random; equal generators give equal sites.
     lidars

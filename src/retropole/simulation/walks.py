@@ -1,7 +1,7 @@
 """A person who carries a taped pole through the view of LiDARs, recorded return by return.
 
-All that moves is met where it is when each beam leaves. What stands is cast once for a few phases
-of a LiDAR whose lines repeat, since nothing of it changes from sweep to sweep.
+All that moves is hit where it is when each beam leaves. Static objects are cast once for a few
+phases of a LiDAR whose lines repeat, since nothing changes from sweep to sweep.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ KEPT_FROM_LIDARS = 1.5
 """The person comes no closer to a LiDAR, metres."""
 
 APART = 1.0
-"""The LiDARs are at least so far from each other, metres."""
+"""Least distance between the LiDARs, metres."""
 
 PHASES = 4
-"""For this many starts of a sweep within its azimuth step what stands is cast."""
+"""For this many starts of a sweep within its azimuth step static objects are cast."""
 
 GAIT = np.array([0.02, 0.02, 0.015])
 """Amplitude of a walker's hand at each step, metres (chosen)."""
@@ -44,10 +44,10 @@ GAIT_KNOT, TREMOR = 0.15, 0.003
 noise of the acceleration is 0.1 to 0.3 m²/s³ (chosen; a prototype's people had 0.1 to 0.2)."""
 
 REST, EASE = 2.0, 0.5
-"""A stop takes so long, s, and so long the pole comes to rest and starts again."""
+"""Duration of a stop, s, and of slowing down before and starting after it."""
 
 REACH = 0.35
-"""The middle of the body is so far from the pole, metres: an arm that is bent."""
+"""Distance from the pole to the middle of the body, metres: an arm that is bent."""
 
 
 class Part(NamedTuple):
@@ -66,7 +66,7 @@ class Walk:
     Attributes
     ----------
     hand
-        Where the hand holds the pole at a time, s: (3,) metres, world frame.
+        Where the hand is on the pole at a time, s: (3,) metres, world frame.
     lean
         Slope of the pole in x and y at a time, s.
     behind
@@ -132,7 +132,7 @@ def draw_walk(
     clear
         Half extents of the ground that is walked on, metres.
     lidars
-        (3,) places that `KEPT_FROM_LIDARS` holds for.
+        (3,) places to which `KEPT_FROM_LIDARS` applies.
     radius
         Of the pole, metres.
     lean
@@ -168,7 +168,7 @@ def draw_walk(
     steady = np.arange(0.0, seconds + 4.0, 2.0)
     held, leant = CubicSpline(fine, hand(fine) + swing), CubicSpline(fine, lean_to)
     if stops:
-        # What moves is as far as it would be without the stops so far.
+        # What moves is as far as it would be without the previous stops.
         knots = np.arange(0.0, seconds + 1.0, GAIT_KNOT / 3)
         rests = seconds * (np.arange(stops) + 0.5) / stops
         away = np.abs(knots[:, None] - rests).min(axis=1)
@@ -218,7 +218,7 @@ class SimulatedWalk:
     walks
         The persons who carry a pole, the first the one that matters.
     surfaces
-        What stands, in the world frame.
+        Static objects, in the world frame.
     recorders
         The target, and the source or several.
     """
@@ -279,7 +279,7 @@ def simulate_walk(
     radius
         Of the pole, metres.
     clock
-        Clocks are off that of the target by up to so much, s.
+        Clocks are off that of the target by up to this, s.
     lean
         As in `draw_walk`.
     people
@@ -356,9 +356,9 @@ def record_walk(
     Parameters
     ----------
     walks
-        Who carries a pole; the first says how long.
+        Who carries a pole; the first gives the duration.
     surfaces
-        What stands, in the world frame.
+        Static objects, in the world frame.
     recorder
         The LiDAR.
     rng
@@ -432,7 +432,7 @@ def _in_front(
     times: Array,
     first: int,
 ) -> tuple[Hits, list[Material]]:
-    """Put what moves before what stands, on the rays that pass near enough to a person."""
+    """Put moving objects before static ones, on the rays that pass near enough to a person."""
     hits = Hits(still.ranges.copy(), still.surface.copy(), still.cosine.copy())
     moving: list[Material] = []
     origin = recorder.T_world_sensor[:3, 3]

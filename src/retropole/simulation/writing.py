@@ -114,12 +114,12 @@ def write_walk(walk: SimulatedWalk, out: Path, seed: int) -> tuple[str, ...]:
     return names
 
 
-def _write(first: Path, words: bytes, clouds: Mapping[Path, PointCloud]) -> None:
+def _write(first: Path, content: bytes, clouds: Mapping[Path, PointCloud]) -> None:
     """Write recordings, and before them the file that describes them.
 
     Of several sweeps a recording is a folder, out of which those of a run before are taken.
     """
-    files = {first: words}
+    files = {first: content}
     for path, cloud in clouds.items():
         if cloud.frame is None:
             files[path] = pcd_of(cloud)

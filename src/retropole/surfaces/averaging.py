@@ -20,7 +20,7 @@ from .sweeps import order_of
 AZIMUTH_CELL, ELEVATION_CELL = float(np.radians(0.2)), float(np.radians(0.1))
 """Returns of several sweeps in a cell of the beams' directions, rad, are of one place: it is as
 wide as the steps of most LiDARs' azimuths, and as high as the least between rings. Rings that are
-known have cells of their own."""
+known have separate cells."""
 
 DEPTH_TOLERANCE, GAP_BY_RANGE = 0.15, 0.01
 """Depths agree within this, metres. A gap that is larger, by more than this part of the range,

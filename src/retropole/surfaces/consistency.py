@@ -3,12 +3,12 @@
 Flat ground agrees with any pose that keeps it level, so it is left out. A voxel is a cube of the
 rest. Under the pose, a point of it agrees where the other cloud has a point as near as the depth
 tolerance; it is in the way where the other LiDAR looked through it; else it is hidden, or out
-of view, and gives no information. A voxel counts once however many points it has.
+of view, and gives no information. A voxel has the same weight however many points it has.
 
-A scene may fit elsewhere as well, which a correlation over shifts shows. Poles that were carried
-along a corridor or a street leave walls on walls: hardly anything is contradicted. The objects
-between the walls are then displaced, and fit better where they were. All shifts are compared at
-once, as the cross-correlation of the occupied cells, layer by layer.
+A scene may fit at other poses as well, which a correlation over shifts shows. Poles that were
+carried along a corridor or a street leave walls on walls: hardly anything is contradicted. The
+objects between the walls are then displaced, and fit better where they were. All shifts are
+compared at once, as the cross-correlation of the occupied cells, layer by layer.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from .visibility import (
 )
 
 VOXEL, VOXEL_SIDE = 0.2, 1.0
-"""Clouds are compared at one point per cube of the first side, counted in cubes of the second,
+"""Clouds are compared at one point per cube of the first side, counted by cubes of the second,
 metres. Depths agree within no more than the second."""
 
 RELATIVE_TOLERANCE = 0.02
@@ -54,14 +54,15 @@ PER_PLACE = 2
 """Points of a voxel that speak for it where many poses are compared."""
 
 EXPECTED = 0.3
-"""Where so many voxels stand in both clouds, at least this share of the fewer should agree. At the
-reference of 16 real pairs (benchmarks/semireal.py) 0.67 and more did, in 100 simulated recordings
-that were answered right 0.8 and more, in 8 wrong ones at most 0.02 (benchmarks/deception.py, seeds
-100 to 115)."""
+"""At least this share of the voxels above the ground should agree, of those of the cloud that has
+fewer. At the reference of 16 real pairs (benchmarks/semireal.py) 0.67 and more did, in 100
+simulated recordings that were answered right 0.8 and more, in 8 wrong ones at most 0.02
+(benchmarks/deception.py, seeds 100 to 115)."""
 
 CLEARANCE = 0.3
-"""What lies so near the ground, metres, belongs to it, and `RELATIVE_TOLERANCE` of its range more:
-it is cambered. What lies so near a pole is left out: poles agree with any pose that they give."""
+"""What lies within this distance of the ground, metres, belongs to it, and `RELATIVE_TOLERANCE` of
+its range more: it is cambered. What is as near to a pole is left out: poles agree with any pose
+that they give."""
 
 GROUND_TRIALS = 300
 """Planes through three points that are tried for the ground, of one for each of the points that
@@ -89,7 +90,7 @@ class Line(Protocol):
 
     @property
     def point(self) -> Array:
-        """(3,) the middle of it, metres."""
+        """(3,) its middle, metres."""
 
     @property
     def direction(self) -> Array:
@@ -107,7 +108,7 @@ class SceneObjects:
     Attributes
     ----------
     points
-        (S, 3) off the ground and off the own vehicle, own frame, metres.
+        (S, 3) off the ground and off the vehicle of the LiDAR, in its frame, metres.
     voxel
         (S,) number of the cube that each lies in.
     tree
@@ -147,7 +148,7 @@ def objects_in(
     *,
     max_tilt: float = MAX_TILT,
 ) -> SceneObjects:
-    """Prepare a cloud, without what is its poles', and a map without what may have driven off.
+    """Prepare a cloud without its poles, and a map without objects that may have driven off.
 
     The random numbers choose the planes that are tried for the ground. Those tilted by less than
     `max_tilt` against the LiDAR, rad, go before the others.
@@ -191,7 +192,7 @@ def movable_objects(cloud: PointCloud, points: Array) -> IntArray:
     Returns
     -------
     (N,)
-        From 1 on; 0 for the ground, and where something high stands in the map or in the points.
+        From 1 on; 0 for the ground, and where there is something high in the map or in the points.
     """
     # The same map gives the same.
     standing = objects_in(cloud, np.random.default_rng(0))
@@ -301,7 +302,7 @@ def consistency(target: SceneObjects, source: SceneObjects, T: Array) -> Confirm
 
 
 def verdicts(target: SceneObjects, source: SceneObjects, T: Array) -> IntArray:
-    """Say of each voxel, of the source and then of the target, what the other LiDAR saw of it.
+    """State for each voxel, of the source and then of the target, what the other LiDAR saw there.
 
     1 where it agrees with a pose (4, 4), -1 where it is in the way, and 0 where nothing is known.
     """
@@ -322,7 +323,7 @@ def blocks(target: SceneObjects, source: SceneObjects, T: Array) -> IntArray:
 def contradicting_points(
     target: SceneObjects, source: SceneObjects, T: Array
 ) -> tuple[Array, Array]:
-    """Find the points that stand where the other LiDAR looked through, in conflicting voxels.
+    """Find the points at which the other LiDAR looked through, in conflicting voxels.
 
     Parameters
     ----------
@@ -334,7 +335,7 @@ def contradicting_points(
     Returns
     -------
     tuple of Array
-        (N, 3) of the target and (M, 3) of the source, each in its own frame, metres.
+        (N, 3) of the target and (M, 3) of the source, each in the frame of its LiDAR, metres.
     """
     found = []
     for seer, other, pose in ((source, target, se3.inverse(T)), (target, source, T)):
@@ -350,7 +351,7 @@ def coincides(points: Array, seer: SceneObjects, T: Array) -> bool:
 
 
 def _agrees(seer: SceneObjects, moved: Array, ranges: Array) -> BoolArray:
-    """Which points (N, 3), so far from the seer, have one of its points as near as may be."""
+    """Which points (N, 3), at `ranges` from the seer, have one of its points within tolerance."""
     near = seer.tree.query(moved, distance_upper_bound=VOXEL_SIDE)[0]
     return np.asarray(near < _tolerance(ranges))
 
@@ -397,11 +398,11 @@ LARGEST_SHIFT = 6.0
 """Shifts that are tried, metres."""
 
 PEAKS = 4
-"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: where most
-cells coincide need not be where most of the scene agrees."""
+"""Number of shifts that are found, farther from each other than `OVERLAP_DISTANCE`: the shift with
+most coinciding cells need not be that with most agreement of the scene."""
 
 HALF_SIDE = 30.0
-"""Cells so far about the middle of the source's points are compared, metres."""
+"""Cells within this distance of the middle of the source's points are compared, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,7 +427,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     Parameters
     ----------
     target, source
-        (N, 3) and (M, 3) points off the ground, each in its own frame, metres.
+        (N, 3) and (M, 3) points off the ground, each in the frame of its LiDAR, metres.
     up
         (3,) normal of the ground, target's frame.
     T

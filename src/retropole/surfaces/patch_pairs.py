@@ -66,7 +66,7 @@ def common_scatter(values: Array, variance: Array, weights: Array) -> float:
         total = variance + common
         q = square / total
         scale = _half_outside(q, weights)
-        # By the scale of all, half of the small ones lie outside where it is their own: and so do
+        # By the scale of all, half of the small ones lie outside of their separate scale: and so do
         # half of the large ones.
         inside = 1.0 / (q + scale)
         outside = q * inside
@@ -124,19 +124,19 @@ def _root(
 
 
 MAX_NORMAL_ANGLE = np.radians(35.0)
-"""Two patches lie on one surface only if their normals agree so far, rad."""
+"""Two patches lie on one surface only if their normals agree within this angle, rad."""
 
 MIN_CORRESPONDENCE_DISTANCE, MAX_CORRESPONDENCE_DISTANCE = 0.10, 1.5
 """Distance across the surface within which patches correspond: the first, metres, beyond
-`SIGMAS` of the pose, and the second at most."""
+`SIGMAS` of the pose, and at most the second."""
 
 BLENDED = 4
 """Nearest patches of the target that make its surface; the next one beyond has no weight left."""
 
 CLUSTER_SIDE, CLUSTER_RANGE = 2.0, 40.0
-"""Residuals of patches within a cube of this side, metres, are counted as correlated, up to this
-range, metres. From there on twice the side, four times from twice the range: what lies so far away
-is seen by rings and in patches whose spacing is as much wider."""
+"""Residuals of patches within a cube of this side, metres, are treated as correlated, up to this
+range, metres. From there on twice the side, four times from twice the range: what lies at such
+distances is seen by rings and in patches whose spacing is as much wider."""
 
 MAX_LEAN = 0.02
 """Patches that LiDARs see from different sides count the less the more they lean for the noise of
@@ -171,7 +171,7 @@ class PatchPairs:
     normal, tilt
         (P, 3) the mean normal, (P,) its variance, rad².
     variance
-        (P,) of the residual as the patches' own scatter has it, m²: of their centres, and of their
+        (P,) of the residual by the scatter of the patches, m²: of their centres, and of their
         normals over the distance between the centres.
     agreement
         (P,) weight, 0 to 1: how far the limits of what corresponds allow the pair.
@@ -207,7 +207,7 @@ class PatchPairs:
         return moved
 
     def pull_of_errors(self, rows: Array) -> Array:
-        """(B,) sum of the residuals' derivatives by all errors, each times its own of (P,)."""
+        """(B,) sum of the residuals' derivatives by all errors, each times its factor (P,)."""
         pull = np.zeros(self.layout.size)
         for lidar, (by, share) in enumerate(self.by_lidar):
             own = rows[:, None] * by
@@ -236,7 +236,7 @@ class PatchSets:
     Attributes
     ----------
     target, source
-        Each in its own frame.
+        Each in the frame of its LiDAR.
     tree
         Of the target's centres.
     layout
@@ -433,7 +433,7 @@ def pair_patches(
 def _lean_apart(lean: Array, other: Array) -> Array:
     """How differently patches (M, 3) lean that are seen from different sides, rad.
 
-    From one side they lean alike, and what they lean by cancels.
+    From one side they lean equally, and what they lean by cancels.
     """
     size, size_other = (np.maximum(lengths(each), 1e-12) for each in (lean, other))
     turned = lengths(lean / size[:, None] - other / size_other[:, None])

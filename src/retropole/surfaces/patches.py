@@ -29,10 +29,10 @@ with a wide prior, the refinement ends 0.14° and 6.4 cm away with 16 alone, 0.1
 both (tuning)."""
 
 FINER_REACH = 2.0
-"""Within this many of its own voxels a patch is left to finer ones."""
+"""Within this many of its voxels a patch is left to finer ones."""
 
 MAX_THICKNESS = 0.03
-"""RMS distance of a patch's points from its plane, metres, above which it is no surface."""
+"""RMS distance of a patch's points from its plane, metres, above which it is not a surface."""
 
 MAX_LEVERAGE = 0.35
 """Share of a patch's lesser extent that a single point may account for."""
@@ -49,7 +49,7 @@ MIN_ACROSS = float(np.radians(0.03))
 """Least RMS of the directions of a patch's points across their longer extent, and of their
 elevations, rad. The returns of one ring lie on its cone whatever they come from: scattered along
 their beams they make a patch of it that is flat, and carries no information on the surface. Rings
-are 0.1° apart or more: two of them make 0.05°."""
+differ by 0.1° or more: two of them make 0.05°."""
 
 MAX_GAP = 2 / 3
 """Through two rings a plane goes across any gap: the top of a wall, a kerb. Where the largest gap
@@ -63,7 +63,7 @@ stated, and now by 6.1 with 5.0 (benchmarks/sites.py, robot, seed 1008, poles pl
 
 SPAN = 0.5
 """Patches as far from each other along their surface may be one surface, metres, or as far as the
-wider of them reaches to its side: where rings are far apart, so are the patches of both LiDARs. How
+wider of them reaches to its side: where rings are sparse, so are the patches of both LiDARs. How
 well the normal of the one predicts where the other lies is counted."""
 
 CONFIRMING = 12
@@ -71,11 +71,11 @@ CONFIRMING = 12
 its plane, …"""
 
 BEYOND_RINGS = float(np.radians(0.1))
-"""… where its beams reach so much higher or lower, rad: other rings, …"""
+"""… where its beams reach higher or lower by this angle, rad: other rings, …"""
 
 CONFIRMING_ANGLE, CONFIRMING_OFF = float(np.radians(10.0)), (0.02, 0.03)
-"""… its normal agrees so far, rad, and both middles lie in each other's planes, metres and as a
-part of their distance."""
+"""… its normal agrees within this angle, rad, and both middles lie in each other's planes, metres
+and as a part of their distance."""
 
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""

@@ -19,8 +19,8 @@ from ..base.quantities import counted
 from .sweeps import order_of
 
 CORES = min(4, os.cpu_count() or 1)
-"""Threads for large clouds. The method's own are small: there one thread is as fast, and several,
-which wait by spinning, are many times slower where the machine has other work.
+"""Threads for large clouds. Those of the method are small: there one thread is as fast, and
+several, which wait by spinning, are many times slower where the machine has other work.
 """
 
 MIN_CLOUD_POINTS = 50
@@ -31,7 +31,7 @@ NORMAL_NEIGHBOURS = 10
 
 SAMPLE = 4000
 """Where some of a cloud will do, no more points of it, or patches of one size, are used: a share
-of them has a standard error of less than 1.2 %."""
+of that number has a standard error of less than 1.2 %."""
 
 MAX_CELLS = 2**20 - 1
 """Cubes that small_gicp numbers on each side of the origin: 100 km of 0.1 m. What is beyond, it
@@ -47,7 +47,7 @@ class Surface:
     xyz
         (M, 3) one point per occupied voxel, metres.
     cloud, tree
-        small_gicp's own types of it.
+        In the types of small_gicp.
     """
 
     xyz: Array
@@ -85,7 +85,8 @@ def voxel_downsample(xyz: Array, voxel: float) -> Array:
     if len(xyz) == 0:
         return np.zeros((0, 3))
     columns = np.array(xyz.T, dtype=float, order="C")
-    # One number for each cube, the last axis first: fewer than (2 MAX_CELLS)³, which int64 holds.
+    # One number for each cube, the last axis first: fewer than (2 MAX_CELLS)³, which fits in an
+    # int64.
     key, size = np.zeros(len(xyz), dtype=np.int64), 1
     for column in columns:
         cell = np.floor(column * (1.0 / voxel)).astype(np.int64)
@@ -151,7 +152,7 @@ def register(
     Parameters
     ----------
     target, source
-        Prepared clouds, each in its own frame.
+        Prepared clouds, each in the frame of its LiDAR.
     T_start
         (4, 4) start, target from source.
     method
@@ -159,7 +160,7 @@ def register(
     max_correspondence_distance
         Largest distance of corresponding points, metres.
     max_iterations
-        Steps at most.
+        Largest number of steps.
     threads
         Of small_gicp.
 

@@ -14,13 +14,13 @@ from .static import remove_dynamic_points, without_copies
 from .sway import steadied
 
 SWEEP = 50_000
-"""Returns of one sweep of a LiDAR that does not repeat its pattern, at most."""
+"""Largest number of returns of one sweep of a LiDAR that does not repeat its pattern."""
 
 
 def why_few_poles(scan: Scan) -> str:
     """Say why a scan shows too few poles, other than their tape; empty if unknown.
 
-    What shines in no place is no tape, whatever the threshold; and one sweep of a LiDAR that does
+    What shines in no place is not tape, whatever the threshold; and one sweep of a LiDAR that does
     not repeat its pattern has too few returns on a pole.
     """
     cloud, found, sensor = scan.cloud, scan.detection, scan.sensor
@@ -52,12 +52,12 @@ def find_poles(
     search: bool = True,
     mast_sway: float | None = None,
 ) -> Scan:
-    """Find the poles in a cloud, if asked to; of several frames, without what moved, at rest.
+    """Find the poles in a cloud, if requested; of several frames, without what moved, at rest.
 
     `mast_sway` is 1 σ of the angle that the LiDAR's mast is said to sway by, rad.
 
-    Never raises a refusal: the scan holds it, and `static.check_poles` raises it, so that what was
-    found elsewhere is not lost. A map is taken as it is.
+    Never raises a refusal: the scan stores it, and `static.check_poles` raises it, so that what was
+    found in other scans is not lost. A map is taken as it is.
     """
     if cloud.is_map:
         return Scan(cloud, sensor)

@@ -1,8 +1,8 @@
-"""Whether a LiDAR stood still: all its recordings show one place as they are.
+"""Whether a LiDAR was still: all its recordings show one place as they are.
 
 What is of another place has little in common. What a turn of a degree or a push of a decimetre
 leaves has most in common as it is; registered to each other, its recordings differ by as much as it
-moved, since one LiDAR errs the same in all of them.
+moved, since one LiDAR errs the same in all recordings.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from .registration import MIN_CLOUD_POINTS, Surface, register, surface_of
 from .visibility import ICP_CORRESPONDENCE_DISTANCE, View, compare_views
 
 SAME_PLACE = 0.5
-"""Least share of points that two recordings of one LiDAR have in common where it stood still."""
+"""Least share of points that two recordings of one LiDAR have in common if it was still."""
 
 TURNED, PUSHED = float(np.radians(0.5)), 0.1
 """A LiDAR moved that turned or was pushed by more, rad and m. A mast sways by up to 0.1°. 207 pairs
-of recordings of LiDARs that stood still came to 0.02° and 6 mm, on bare ground to 0.04° and 44 mm;
+of recordings of still LiDARs came to 0.02° and 6 mm, on bare ground to 0.04° and 44 mm;
 13 of LiDARs that turned by 1.0 to 4.5° to 0.01° of that (benchmarks/contradictions.py, seeds 400 to
 465, and sites of all kinds from seeds 600 to 629)."""
 
 WITHIN, MORE_COINCIDES = 0.1, 0.05
-"""Points with a neighbour so near, metres, coincide; and at least this much more do after
-the registration, as a part of all. Where nothing but ground is seen it may slide anywhere, and no
-more coincides: up to 0.005 (the same seeds). Of those that turned 0.16 and more did."""
+"""Points with a neighbour within this distance, metres, coincide; and at least this much more do
+after the registration, as a part of all. Where nothing but ground is seen it may slide anywhere,
+and no more coincides: up to 0.005 (the same seeds). Of those that turned 0.16 and more did."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ def moved(one: View, other: View) -> Moved | None:
 
 
 def elsewhere(recordings: Sequence[View | None]) -> dict[int, Moved | None]:
-    """Placements whose recording does not show the place of its LiDAR.
+    """Placements whose recording does not show the LiDAR's place.
 
     With three recordings or more, those that agree with less than half of the others; with two that
     differ, both. For each its displacement from the majority; None if it shows another

@@ -2,7 +2,7 @@
 
 Two LiDARs that record at different times may see different scenes, so the times are compared too.
 And two measurements never agree to the last digit: what is there twice was measured once: counted
-twice it would make an answer surer than it is, and as both clouds a perfect one.
+twice it would make an answer more certain than it is, and as both clouds a perfect one.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from .visibility import (
 )
 
 MAX_APART = 60.0
-"""Recordings further apart in time than this were made at other times, seconds. Clocks that are
-set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
+"""Recordings whose times differ by more than this were made at other times, seconds. Clocks that
+are set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
 
 
 def recorded_together(placements: Sequence[Placement]) -> bool:
@@ -69,9 +69,9 @@ def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
             of = "" if len(placements) == 1 else f" of placement {k}"
             yield Reason(
                 "other_times",
-                f"by their timestamps the two recordings{of} lie {quantities.duration(apart)} "
-                f"apart ({quantities.duration(MAX_APART)} are allowed): the answer is right only "
-                "if the poles and the LiDARs stood still in between",
+                f"by their timestamps the two recordings{of} differ by "
+                f"{quantities.duration(apart)} ({quantities.duration(MAX_APART)} are allowed): the "
+                "answer is right only if the poles and the LiDARs were still in between",
                 {"placement": k, "apart_s": apart, "allowed_s": MAX_APART},
             )
 
@@ -162,10 +162,10 @@ def check_recordings(placements: Sequence[Placement]) -> None:
 
 
 def what_to_give(first: int, second: int) -> str:
-    """Say what to give instead where recordings of two placements, or of one, are the same."""
+    """Advise what to give instead if recordings of two placements, or of one, are the same."""
     if first == second:
         return "give the recording of one LiDAR as TARGET and that of the other as SOURCE"
-    return "give each placement recordings of its own, made after the poles were moved"
+    return "give each placement separate recordings, made after the poles were moved"
 
 
 def _sampled(keys: Keys, most: np.uint64) -> Keys:
@@ -200,7 +200,7 @@ RUNS = 6
 
 MAX_TURN = np.radians(0.3)
 """A LiDAR moved if it turned by more while it recorded. The first and the last frames of 72 LiDARs
-that stood came to 0.11° at most, those of 24 that were bumped by 0.5 to 6° to 0.45° and more
+that were still came to at most 0.11°, those of 24 that were bumped by 0.5 to 6° to 0.45° and more
 (benchmarks/deception.py, "LiDAR bumped while recording", seeds 100 to 123)."""
 
 SECTORS = 8
@@ -213,9 +213,9 @@ larger by more. Of Mid-360 that were bumped by 0.5° they do within 0.1, of HAP 
 ground that were not they are 3 to 12 times as large in all (`sweeps.py --pairs`, seeds to 5)."""
 
 MOVED_SIGMAS = 5.0
-"""A turn must also exceed this multiple of its own σ, and a pole stray by as much. Single sweeps of
+"""A turn must also exceed this multiple of its σ, and a pole stray by as much. Single sweeps of
 a LiDAR that does not repeat its pattern show other points of the same surfaces: of 96 still Mid-360
-recordings the turn was up to 0.48°, and 3.6 σ at most; of VLP-16 and XT32 that were turned by 0.35
+recordings the turn was up to 0.48°, or 3.6 σ; of VLP-16 and XT32 that were turned by 0.35
 and 0.5° it was 16 σ and more (streets, harbors and corridors, seeds 0 to 3). With 8 sectors, 4.8 σ
 are exceeded by chance once in a thousand times (Student's t)."""
 
@@ -284,7 +284,7 @@ def check_still(name: str, cloud: PointCloud) -> None:
             "moving_lidar",
             f"the {name} LiDAR turned by {np.degrees(turn):.1f}° while it recorded "
             f"({np.degrees(MAX_TURN):.1f}° is allowed): fasten it and record again, or read the "
-            "frames while it stood still",
+            "frames while it was still",
             {"lidar": name, "turned_rad": turn, "allowed_rad": float(MAX_TURN)},
         )
 

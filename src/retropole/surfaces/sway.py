@@ -13,8 +13,8 @@ oscillates about rest, at a frequency and with a size that are not known beforeh
 over all, S any way or the one that was seen. Each combination of frequencies, σ and S is a
 hypothesis with the evidence of the returns; what is stated is the mean over all hypotheses. A
 recording that is shorter than a period sees a drift: hypotheses of few and of many degrees then say
-the same of it, and other things of where it rests. What they differ by is the uncertainty (MacKay
-2003, Information theory, inference, and learning algorithms, ch. 28).
+the same about it, and other things of where it rests. What they differ by is the uncertainty
+(MacKay 2003, Information theory, inference, and learning algorithms, ch. 28).
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ LOWEST, HIGHEST = 0.2, 3.0
 """Of the frequencies of masts, Hz; within, each period is as probable."""
 
 SPACING, RESOLVED = 0.15, 0.7
-"""From one frequency that is tried to the next: as a part of it, and in what a recording tells
-apart, which is one over its length."""
+"""From one frequency that is tried to the next: as a part of its value, and in the resolution of a
+recording, which is one over its length."""
 
 FREQUENCY_SPREAD = 0.1
-"""A mast does not keep its frequency exactly: within this part of it, it moves as well."""
+"""A mast does not keep its frequency exactly: within this share, it moves as well."""
 
 BROAD = 10
-"""Frequencies of the hypothesis that a mast moves at all of them."""
+"""Frequencies of the hypothesis that a mast moves at all frequencies."""
 
 FASTER, PART_OF_FASTER = np.array([2.0, 4.0, 8.0]), 0.3
 """A mast bends in faster modes as well: frequencies by that of the first, and all their size by its
@@ -63,7 +63,8 @@ ASIDE = 0.25
 
 SHIFTS = np.array([0.002, 0.01, 0.05])
 """1 σ of the shift of a LiDAR that does not turn, metres: a vehicle that creeps does not sway. In
-half a second that of PandaSet 002, said to stand, moves by 3.6 cm and turns by less than 0.03°."""
+half a second that of PandaSet 002, said to be still, moves by 3.6 cm and turns by less than
+0.03°."""
 
 SHIFT_ALONE = np.eye(6)[:, 3:]
 """Root of the covariance of such a shift, of one metre."""
@@ -143,17 +144,17 @@ class Axes(NamedTuple):
     along: Array
 
 
-def axes_of(asked: Likelihood, root: Array) -> Axes:
+def axes_of(likelihoods: Likelihood, root: Array) -> Axes:
     """Find the axes in which both the information of the returns and a prior are diagonal.
 
     `root` (6, R) is of the covariance of each six coefficients, over turn and shift, rad and m,
     where the size is one.
     """
-    count, rank = len(asked.pull) // 6, root.shape[1]
-    blocks = root.T @ asked.left.reshape(count, 6, count, 6).transpose(0, 2, 1, 3) @ root
+    count, rank = len(likelihoods.pull) // 6, root.shape[1]
+    blocks = root.T @ likelihoods.left.reshape(count, 6, count, 6).transpose(0, 2, 1, 3) @ root
     value, way = np.linalg.eigh(blocks.transpose(0, 2, 1, 3).reshape(count * rank, -1))
     way = (root @ way.reshape(count, rank, -1)).reshape(6 * count, -1)
-    return Axes(way, np.maximum(value, 0.0), way.T @ asked.pull)
+    return Axes(way, np.maximum(value, 0.0), way.T @ likelihoods.pull)
 
 
 def evidence_of(axes: Axes, variance: Array, noise: float) -> Array:
@@ -164,15 +165,15 @@ def evidence_of(axes: Axes, variance: Array, noise: float) -> Array:
 
 
 def axes_along(
-    asked: Sequence[Likelihood], ways: Sequence[tuple[float, Array]]
+    likelihoods: Sequence[Likelihood], ways: Sequence[tuple[float, Array]]
 ) -> list[list[Axes]]:
     """Find the axes of every hypothesis, for each of the ways and for a shift alone."""
     roots = [*(root for _, root in ways), SHIFT_ALONE]
-    return [[axes_of(each, root) for root in roots] for each in asked]
+    return [[axes_of(each, root) for root in roots] for each in likelihoods]
 
 
 def infer(
-    asked: Sequence[Likelihood],
+    likelihoods: Sequence[Likelihood],
     axes: Sequence[Sequence[Axes]],
     sizes: Array,
     ways: Sequence[tuple[float, Array]],
@@ -182,16 +183,16 @@ def infer(
 
     Parameters
     ----------
-    asked, axes
-        One at least, and what `axes_along` finds of them.
+    likelihoods, axes
+        At least one, and the result of `axes_along` for them.
     sizes
         1 σ of the turn, rad, each as probable as it is large.
     ways
         See `ways_of`.
     noise
-        So many times the variance of the returns that they state themselves.
+        Ratio of the variance of the returns to the one that they state themselves.
     """
-    share = np.array([each.share for each in asked])
+    share = np.array([each.share for each in likelihoods])
     prior = np.einsum("a,w,s->aws", share, [of_way for of_way, _ in ways], sizes / sizes.sum())
     evidence = np.array([[evidence_of(own, sizes**2, noise) for own in each[:-1]] for each in axes])
     shifted = np.array([evidence_of(each[-1], SHIFTS**2, noise) for each in axes])
@@ -199,11 +200,11 @@ def infer(
     total = float(np.logaddexp.reduce(evidence + np.log(prior), axis=None))
     weighed = COUNTED * evidence + np.log(prior)
     probability = np.exp(weighed - np.logaddexp.reduce(weighed, axis=None))
-    motion, mean = np.zeros((len(asked[0].features), 6)), np.zeros(6)
+    motion, mean = np.zeros((len(likelihoods[0].features), 6)), np.zeros(6)
     square = np.zeros((6, 6))
     best = np.unravel_index(int(np.argmax(probability)), probability.shape)
     for a, w, s in zip(*np.nonzero(probability > NEGLIGIBLE), strict=True):
-        features, own, p = asked[a].features, axes[a][w], float(probability[a, w, s])
+        features, own, p = likelihoods[a].features, axes[a][w], float(probability[a, w, s])
         variance = sizes[s] ** 2 / (1 + sizes[s] ** 2 * own.value / noise)
         coefficients = (own.way @ (variance * own.along / noise)).reshape(-1, 6)
         middle = features.mean(axis=0)
@@ -214,7 +215,7 @@ def infer(
         square += p * ((spread * variance) @ spread.T + np.outer(here, here))
         if (a, w, s) == best:
             likeliest = features, coefficients
-    frequencies = np.log([each.frequency for each in asked])
+    frequencies = np.log([each.frequency for each in likelihoods])
     return Motion(
         total - float(np.logaddexp.reduce(np.append(shifted, 0.0))),
         total,
@@ -279,7 +280,7 @@ def waves(times: Array, frequencies: Array) -> Array:
 
 PASSES, AT_REST = 8, float(np.radians(2e-4))
 """The cells of the returns are made without the motion as it is known, and the motion estimated
-anew, so many times at most, or until it changes by less, rad."""
+anew, up to this number of times, or until it changes by less, rad."""
 
 GROUPS = 50
 """Of sweeps, by which the noise of the motion is judged."""
@@ -354,30 +355,34 @@ def ask(observed: Observed, tried: Iterable[tuple[float, float, Array]]) -> Iter
 
 
 def judged(
-    observed: Observed, asked: Sequence[Likelihood], sizes: Array, motion: Array, noise: float = 1.0
+    observed: Observed,
+    likelihoods: Sequence[Likelihood],
+    sizes: Array,
+    motion: Array,
+    noise: float = 1.0,
 ) -> tuple[Motion, float]:
-    """Weigh all hypotheses by what the returns were asked, and by their noise as it comes out.
+    """Weigh all hypotheses by their likelihoods, and by the noise that results.
 
     Parameters
     ----------
-    observed, asked
-        What the returns show, and what of the hypotheses.
+    observed, likelihoods
+        What the returns show, and the likelihoods of the hypotheses.
     sizes
         As of `sway.infer`.
     motion, noise
         (B, 6) the motion, and the noise, as they are known.
     """
     ways = ways_of(motion)
-    axes = axes_along(asked, ways)
-    found = infer(asked, axes, sizes, ways, noise)
+    axes = axes_along(likelihoods, ways)
+    found = infer(likelihoods, axes, sizes, ways, noise)
     after = noise_of(observed, *found.best)
-    return (found if after == noise else infer(asked, axes, sizes, ways, after)), after
+    return (found if after == noise else infer(likelihoods, axes, sizes, ways, after)), after
 
 
 def noise_of(observed: Observed, features: Array, coefficients: Array) -> float:
     """How many times the variance that the returns state what the motion leaves has; 1 at least.
 
-    Returns of one wall err alike; the sweeps then scatter by more than each one's returns let
+    Returns of one wall err together; the sweeps then scatter by more than each one's returns let
     expect. The motion is given by features (B, F) and their coefficients (F, 6).
     """
     parts = len(features)
@@ -393,7 +398,7 @@ def noise_of(observed: Observed, features: Array, coefficients: Array) -> float:
 
 
 class Velocity(NamedTuple):
-    """What the sweeps say of a steady motion: (6, 6) information and (6,) gradient at rest of its
+    """What the sweeps show of a steady motion: (6, 6) information and (6,) gradient at rest of its
     turn and shift per second, rad/s and m/s in the LiDAR's frame, the shift that of the beams'
     origin."""
 

@@ -1,9 +1,9 @@
-"""What the sweeps of one recording say of how its LiDAR moved, on surfaces that all of them saw.
+"""How the LiDAR moved, from the sweeps of one recording, on surfaces that all of them saw.
 
 The returns are put into cells of space. In a flat one, a sweep that was turned by ω and shifted by
 τ leaves residuals ``−n·(ω × p + τ)`` from the plane of the cell, whose height and two slopes are
 unknown. They are eliminated: what the cell looks like in the mean is not taken from sweeps that
-moved. A cell that beams of one elevation alone meet then gives no information: on a slanted
+moved. A cell that beams of one elevation alone hit then gives no information: on a slanted
 surface such returns move along their beam, and any plane through it fits.
 """
 
@@ -54,8 +54,7 @@ def numbered(values: IntArray) -> tuple[IntArray, IntArray]:
 
 CELL_SIDES = (2.0, 1.0, 6.0)
 """Of the cells, metres, in turn: small ones take what lies next to a corner, large ones ground
-where
-rings are so far apart that no smaller one has two."""
+where rings are too sparse for a smaller one to have two."""
 
 CORNERS = 2 ** np.array([0, 21, 42])
 """One number for each cell, where none is 2²⁰ from the origin."""
@@ -74,15 +73,15 @@ THICKEST, LEAST_WIDTH, FLATNESS = 0.05, 0.2, 0.02
 plane's lesser extent more, and the ratio of both variances less."""
 
 USUAL = 3.0
-"""A cell is no more than this many times as thick as most: a plane through a bush does not count.
+"""A cell is no more than this many times as thick as most: a plane through a bush is not used.
 On a square one such cell gave the turn about the vertical alone, 0.07° off."""
 
 LEAST_TURN, ROUND = float(np.radians(0.2)), 0.02
 """RMS of the beams' directions across the longer extent of what they cover, rad, and the least
-ratio of both variances: below, the cell is met by a single ring."""
+ratio of both variances: below, a single ring hits the cell."""
 
 FAR = 4.0
-"""Residuals of this many σ of their cell count no more (Tukey's biweight)."""
+"""Residuals of this many σ of their cell have no weight (Tukey's biweight)."""
 
 FINEST = 0.003
 """Least σ of the residuals of a cell, metres."""
@@ -94,7 +93,7 @@ PERIOD = 0.1
 """Of a sweep, s, where it is unknown."""
 
 LONGEST = 0.5
-"""Times of returns that spread further over one sweep are no times of a sweep, s."""
+"""Times of returns that spread further over one sweep are not times of a sweep, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +125,7 @@ class Observed:
     Attributes
     ----------
     motion
-        (B, 6, 6) information of each part's own turn and shift.
+        (B, 6, 6) information of the turn and shift of each part.
     both
         (3 C, 6 B) of planes and motions together.
     plane
@@ -170,7 +169,7 @@ class Observed:
 
 
 def timed(cloud: PointCloud) -> Timed:
-    """Choose returns evenly of all sweeps, and tell when they came.
+    """Choose returns evenly of all sweeps, and give their times.
 
     Parameters
     ----------
@@ -213,7 +212,7 @@ def _period(cloud: PointCloud, frames: IntArray, by_sweep: Sequence[IntArray]) -
     numbers = float(frames[-1] - frames[0])
     if cloud.time is not None and np.isfinite(cloud.time).all():
         ends = [float(np.median(cloud.time[by_sweep[k]])) for k in (0, -1)]
-        # Some drivers count the times of each sweep from its own start.
+        # Some drivers give the times of each sweep from its start.
         if ends[1] - ends[0] > PERIOD / 4 * numbers:
             return (ends[1] - ends[0]) / numbers
     if cloud.recorded is not None and cloud.recorded[1] > cloud.recorded[0]:
@@ -311,7 +310,7 @@ def _cells(xyz: Array, origin: Array) -> Iterator[tuple[IntArray, IntArray, Arra
 def _free(xyz: Array, side: float) -> Array:
     """(3,) where cells of a side may begin along each axis: where the fewest returns are.
 
-    Ground that lies between two cells would be cut by its own noise, and by the motion.
+    Ground that lies between two cells would be cut by its noise, and by the motion.
     """
     step = side / CUTS
     place = np.floor(np.mod(xyz, side) / step).astype(np.int64) % CUTS

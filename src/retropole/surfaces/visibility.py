@@ -1,8 +1,8 @@
 """What one LiDAR saw, and whether the other's points agree with it: overlap and free space.
 
 Overlap is the share of points with a neighbour in the other cloud. Free space is violated by a
-point that stands where the other LiDAR looked through. Everything that asks either of these asks
-here: the choice of the hypothesis, the check of a site, the score of a transform, other methods.
+point at which the other LiDAR looked through. Everything that uses either of these calls
+this: the choice of the hypothesis, the check of a site, the score of a transform, other methods.
 
 Which hypothesis is right the scene decides, since the poles cannot. Three measures are taken of
 every hypothesis, and all are reported:
@@ -10,7 +10,7 @@ every hypothesis, and all are reported:
 - the paper's (Xue et al. 2019, Tab. III): run ICP from the hypothesis and see how far it moves,
   ``e_r = ‖log(R_icp)^∨‖`` and ``e_t = ‖t_icp‖``; the one that moves least is right,
 - overlap: the share of one cloud's points with a neighbour in the other,
-- free-space violation: the share of one LiDAR's returns that stand where the other looked through.
+- free-space violation: the share of one LiDAR's returns at which the other looked through.
 
 The score is overlap less free-space violation, both as shares of the downsampled points and the
 mean of both directions (`visibility`). It needs no ICP. See docs/method.md.
@@ -51,7 +51,7 @@ from .registration import (
 
 RANGE_CELL = np.radians(1.0)
 """Side of a cell of the range image, rad: about the spacing of 32 rings. Between sparser rings
-cells stay empty, and say nothing."""
+cells stay empty, and give no information."""
 
 OVERLAP_DISTANCE = 0.5
 """A point with a neighbour of the other cloud within this distance overlaps it, metres: the poles'
@@ -62,7 +62,7 @@ RELATIVE_MARGIN = 0.1
 direction to violate free space: poles leave up to a degree of error in the pose."""
 
 OWN_VEHICLE = 1.5
-"""Returns nearer than this to where the beams start are on what carries the LiDAR, metres."""
+"""Returns nearer than this to the beam origin are on the carrier of the LiDAR, metres."""
 
 REACH_QUANTILE = 0.99
 """A LiDAR reaches as far as this quantile of its ranges: single returns come from farther."""
@@ -96,9 +96,9 @@ class Nearest(NamedTuple):
     ----------
     ranges
         (E, A) least range in each cell and its neighbours, metres; infinite where none of them
-        holds a return.
+        has a return.
     seen
-        (E, A) whether the cell itself holds a return.
+        (E, A) whether the cell itself has a return.
     """
 
     ranges: Array
@@ -108,7 +108,7 @@ class Nearest(NamedTuple):
 def nearest_around(cells: Cells, ranges: Array) -> Nearest:
     """Take the least range in each cell and its neighbours.
 
-    A point beside an edge may fall into the cell of what lies behind, hence the neighbours.
+    A point next to an edge may fall into the cell of what lies behind, hence the neighbours.
     """
     image = _least(cells, ranges, 0, 1)[0]
     return Nearest(_with_neighbours(image), np.isfinite(image))
@@ -167,7 +167,7 @@ def range_image(cloud: PointCloud) -> RangeImage:
 
 
 def free_space_violation(image: RangeImage, points: Array) -> float:
-    """Share of points that stand where the LiDAR of ``image`` looked through.
+    """Share of points at which the LiDAR of ``image`` looked through.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def free_space_violation(image: RangeImage, points: Array) -> float:
 
     Notes
     -----
-    A file that was moved into another frame no longer tells where its sensor was. Seen from a wrong
+    A file that was moved into another frame no longer shows where its sensor was. Seen from a wrong
     origin the measure is weaker, but it does not turn against the truth: a point on a surface that
     the other LiDAR measured has that surface in its direction from wherever one looks, so the right
     hypothesis is not contradicted.
@@ -187,7 +187,7 @@ def free_space_violation(image: RangeImage, points: Array) -> float:
 
 
 class _Seen(NamedTuple):
-    """Points by what a LiDAR saw: their ranges from it, metres, whether they stand where it looked
+    """Points by what a LiDAR saw: their ranges from it, metres, whether they are where it looked
     through, whether it has returns in their direction, and whether these are far before them.
     """
 
@@ -208,8 +208,8 @@ def _seen_by(image: RangeImage, points: Array) -> _Seen:
 
 
 def tree_of(points: Array) -> cKDTree:
-    """Tree of points (N, 3) that is asked a few thousand times: split in the middle and not at the
-    median it is built in half the time, and answers the same.
+    """Tree of points (N, 3) that is queried a few thousand times: split in the middle and not at
+    the median it is built in half the time, and answers the same.
     """
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
@@ -221,7 +221,7 @@ class View:
     Attributes
     ----------
     points
-        (S, 3) a sample of the downsampled cloud, its own frame, metres.
+        (S, 3) a sample of the downsampled cloud, in its LiDAR's frame, metres.
     tree
         Of the whole downsampled cloud.
     image
@@ -250,7 +250,7 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
     Parameters
     ----------
     cloud
-        In its own frame.
+        In the frame of its LiDAR.
     voxel
         It is downsampled to one point per cube of this side, metres, so that the dense ground near
         the LiDAR does not outnumber the rest.
@@ -282,9 +282,9 @@ class Agreement:
         Shares of the points, mean of both directions. With a map, the first of the LiDAR's points,
         the second of those of the map in its view.
     covisible_overlap
-        Overlap of the points of both clouds that both LiDARs could see: not on the own vehicle,
-        where the other has returns in their direction, and no farther than it reaches. Of a map
-        those that nothing hides, and of its LiDAR all.
+        Overlap of the points of both clouds that both LiDARs could see: not on the vehicle of the
+        LiDAR, where the other has returns in their direction, and no farther than it reaches. Of a
+        map those that nothing hides, and of its LiDAR all.
     distances
         (S,) of the source's points from the target's cloud, metres; infinite beyond the limit.
     """
@@ -303,7 +303,7 @@ def compare_views(
     Parameters
     ----------
     target, source
-        Each in its own frame.
+        Each in the frame of its LiDAR.
     T
         (4, 4) target from source.
     within
@@ -322,7 +322,7 @@ def compare_views(
     could_see = np.concatenate([_covisible(*each) for each in sides])
     near = np.concatenate(distances) <= within
     covisible = float(np.mean(near[could_see])) if could_see.any() else 0.0
-    # Most of a map lies outside of the view, and says nothing.
+    # Most of a map lies outside of the view, and gives no information.
     violated = [
         each.is_in_the_way[_in_reach(other, each) if view.is_map else slice(None)]
         for view, other, each in sides
@@ -368,7 +368,7 @@ def score_hypotheses(
     Parameters
     ----------
     target, source
-        The whole clouds, each in its own frame.
+        The whole clouds, each in the frame of its LiDAR.
     matches
         Candidate poses from `hypotheses.correspondence.match_poles`.
 
@@ -392,7 +392,7 @@ def score_hypotheses(
                 "too_few_points",
                 f"the {name} cloud downsampled to {SCORING_VOXEL:g} m has "
                 f"{counted(view.size, 'point')}, "
-                f"{MIN_CLOUD_POINTS} are needed to tell the hypotheses apart; record a scene with "
+                f"{MIN_CLOUD_POINTS} are needed to distinguish the hypotheses; record a scene with "
                 "more in it",
                 {"lidar": name, "points": view.size, "needed": MIN_CLOUD_POINTS},
             )
@@ -441,8 +441,8 @@ def icp_motion(target: Surface, points: Array, T: Array) -> tuple[float | None, 
     Returns
     -------
     e_r, e_t
-        None where so few points lie near that ICP has nothing to work with: that it then stays
-        where it is says nothing for the hypothesis.
+        None if too few points lie near for ICP to work with: that it then stays
+        where it is does not support the hypothesis.
     """
     if len(points) < MIN_CLOUD_POINTS:
         return None, None

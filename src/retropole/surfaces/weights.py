@@ -1,4 +1,5 @@
-"""How much each pair of patches says of the pose, and what the surfaces do not determine."""
+"""How much information each pair of patches gives about the pose, and what the surfaces do not
+determine."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ ROBUST_WIDTH = 2.0
 
 
 MIN_HOLD = 6.0
-"""A direction of the pose counts as constrained by the scene with this many times the
+"""A direction of the pose is treated as constrained by the scene with this many times the
 information that the noise of the normals alone would imitate."""
 
 
@@ -66,7 +67,7 @@ class Weighed:
         table[:, :POSE] = root[:, None] * self.pairs.jacobian
         self.pairs.put_by_error(root, table[:, POSE:])
         along = self.ways.T @ table
-        # The square of one array: BLAS then computes one half of it.
+        # The square of one array: BLAS then computes one half alone.
         return np.asarray(table.T @ table - (along.T * (self.left * (2.0 - self.left))) @ along)
 
     def _held(self, rows: Array) -> Array:
@@ -81,7 +82,7 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     pairs
         Patches that correspond.
     covariance
-        (6, 6) how far the pose may still be off. That is no reason to take a residual for an
+        (6, 6) how far the pose may still be off. That does not make a residual an
         outlier: a distant wall would be given up before the ground has let the pose turn towards
         it.
     """

@@ -137,7 +137,7 @@ def check_sway(lidar: str, scans: Sequence[Scan]) -> Iterator[Reason]:
     worst = max(found, key=lambda each: each.left_rad)
     yield Reason(
         "sways",
-        f"{lidar} swayed while it recorded: {worst.words}",
+        f"{lidar} swayed while it recorded: {worst.text}",
         {
             "lidar": lidar,
             "angle_rad": worst.angle_rad,
@@ -206,7 +206,7 @@ def check_angles(directions: Sequence[Array], lidars: str = "") -> Iterator[Reas
         of = lidars and f" that link {lidars}"
         yield Reason(
             "nearly_parallel_poles",
-            f"the poles{of} are {degrees:.1f}° apart, so that the height is weakly determined; "
+            f"the poles{of} differ by {degrees:.1f}°, so that the height is weakly determined; "
             "lean one by 15° or more",
             {"angle_deg": degrees},
         )

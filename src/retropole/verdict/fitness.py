@@ -130,10 +130,10 @@ def _remedies(answer: Calibration) -> dict[str, str]:
         if share < MOST_OF_VARIANCE:
             part = quantities.percent(entry.share_at_30m) + unit
             unknown = None if entry.sensor is None or is_known[entry.sensor] else entry.sensor
-            words = f"{source_words(entry.name, entry.sensor)} ({part})"
+            source = f"{source_words(entry.name, entry.sensor)} ({part})"
             helps = remedy(entry.name, unknown)
             if _is_in_map(answer) and entry.name != DISTORTION and entry.sensor is None:
                 helps = MORE_OF_MAP
-            helping.setdefault(helps, []).append(words)
+            helping.setdefault(helps, []).append(source)
             share, unit = share + entry.share_at_30m, ""
     return {" and ".join(sources): helps for helps, sources in helping.items()}

@@ -12,7 +12,7 @@ from ..hypotheses.evidence import MIN_TOTAL
 
 MORE_OF_MAP = (
     "use a larger part of the map or a map with more objects, record where the LiDAR sees more "
-    "of it, or compare with surveyed points"
+    "of the map, or compare with surveyed points"
 )
 """Advice if little in a map determines a direction."""
 

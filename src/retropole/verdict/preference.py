@@ -25,7 +25,7 @@ MAX_WORSE, MIN_SIGMAS = 0.05, 2.0
 """Surfaces near the poles conflict with a refined pose if they are farther from each other under it
 than under that of the poles: by this mean difference of their losses, and by this many times its 1
 σ. In 45 honest recordings of the simulator's field (six scenes, seeds 0 to 7) the mean difference
-was 0.0007 at most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
+was at most 0.0007; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
 
 
 def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) -> None:
@@ -84,7 +84,7 @@ def preferences(
     Parameters
     ----------
     target, source
-        Clouds, each in its own frame.
+        Clouds, each in the frame of its LiDAR.
     T, others
         (4, 4) the one pose, and the others.
 

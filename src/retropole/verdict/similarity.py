@@ -3,14 +3,14 @@
 After a refusal the poles are matched again with one cloud mirrored, and with one cloud scaled. A
 result is used only if the scene then agrees well, and clearly better than under
 any rigid motion: those that the poles allow, and those nearest to the result, since a
-place may be its own mirror image except for a few objects. It never gives a pose.
+place may be its mirror image except for a few objects. It never gives a pose.
 
 Then each cloud is read in other units. A cloud in feet looks like one in metres in which a
 pole of 4 cm is 13 cm thick. So the given radius of the poles shows the unit: if a cloud read in
 a unit shows poles of that width, and they and the scene fit the other cloud, it is in
 that unit. If both clouds show such poles in one other unit and none in metres, the coordinates
 are in that unit, or the poles are thicker than stated by the same factor. The clouds do not
-show which of both is the case: everything is scaled alike.
+show which of both is the case: everything is scaled equally.
 """
 
 from __future__ import annotations
@@ -259,7 +259,7 @@ def _in_no_metres(placement: Placement) -> Refusal | None:
     odd = {name: found for name, scan in named if (found := oddity_of(scan.cloud))}
     for name, found in odd.items():
         if found.is_tiny:
-            return Refusal("wrong_unit", f"of the {name}, {found.words}", {"lidars": name})
+            return Refusal("wrong_unit", f"of the {name}, {found.text}", {"lidars": name})
     odd = {name: found for name, found in odd.items() if found.units}
     if not odd:
         return None
@@ -334,17 +334,17 @@ def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal
     # As far as the LiDARs' axes show: two horizontal ones differ by a rotation.
     moved = found.T[:3, :3] @ changed_cloud(placement.source.cloud, found.factor).axis
     cosine = float(placement.target.cloud.axis @ moved)
-    axis, words = (
+    axis, description = (
         "vertical",
         "the vertical axis, or a horizontal one if a LiDAR is mounted upside down,",
     )
     if abs(cosine) < LEVEL:
-        axis, words = "unknown", "one axis"
+        axis, description = "unknown", "one axis"
     elif cosine > 0:
-        axis, words = "horizontal", "one horizontal axis"
+        axis, description = "horizontal", "one horizontal axis"
     return Refusal(
         "mirrored",
-        f"{words} of one of the two clouds is reversed: {shown}; check the driver's axes "
+        f"{description} of one of the two clouds is reversed: {shown}; check the driver's axes "
         "(left-handed?), and the program that converted the files",
         {"axis": axis, "lidar": "one of the two", **figures},
     )

@@ -140,7 +140,7 @@ def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmat
     if len(scans.by_lidar) > 2:
         # The poles of many placements check each other: the surroundings are compared once.
         paired = [max(paired, key=lambda each: len(each.hypothesis.match.pairs))]
-    # A hypothesis that does not recur in all placements is no rival.
+    # A hypothesis that does not recur in all placements is not a rival.
     most = max((len(each.poles) for each in pair.hypotheses), default=0)
     recurring = [each for each in pair.hypotheses if len(each.poles) == most]
     # All other angles about a pole are compared, if the angle is from the surroundings.

@@ -38,7 +38,7 @@ NAMED = re.compile(r"(?<![-\w])(the )?(?P<side>target|source)( LiDAR)?(?![-\w])"
 
 @dataclass(frozen=True, eq=False)
 class Answered:
-    """A calibration of two LiDARs, and what it rests on where it is no refusal."""
+    """A calibration of two LiDARs, and what it is based on unless it is refused."""
 
     calibration: Calibration
     paired: Sequence[PairedPlacement] = ()
@@ -90,7 +90,7 @@ def state_answer(
 def _tested(
     paired: Sequence[PairedPlacement], aligned: BeamAlignment, refined: Refinement | None
 ) -> tuple[tuple[Test, ...], list[Reason]]:
-    """Test a pair as a site is tested, and say what does not fit."""
+    """Test a pair as a site is tested, and report what does not fit."""
     if aligned.joint is None:
         return (), []
     lidars = tuple(SiteLidar(name, ()) for name in SIDES)
@@ -160,7 +160,7 @@ def state_site_answer(
         status="warn" if reasons else "ok",
         reasons=reasons,
         site=site,
-        datum=adjusted.datum.words,
+        datum=adjusted.datum.text,
         scans=scans.in_clouds,
         lidars=lidars,
         covariance=covariance,
@@ -256,7 +256,7 @@ def state_answer_of_two(
         answer,
         status="warn" if reasons or unusable else "ok",
         reasons=(*reasons, *unusable),
-        datum=tested.datum.words,
+        datum=tested.datum.text,
         lidars=(first, second),
         covariance=covariance,
         poles=tuple(moved),

@@ -16,7 +16,7 @@ MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute value: 1 / 0.6745."""
 
 SIGMAS = 3.0
-"""Whatever is further off, in units of its own 1 σ, is left out: once in 370 times by chance."""
+"""Whatever is further off, in units of its 1 σ, is left out: once in 370 times by chance."""
 
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
@@ -46,7 +46,7 @@ class BudgetEntry(msgspec.Struct, frozen=True):
     name
         What errs, such as ``range offset`` or ``scatter of the surfaces``.
     sensor
-        Whose error it is; None if it is no single LiDAR's.
+        Whose error it is; None if it is not of a single LiDAR.
     sigma, unit
         1 σ of the error itself, and its unit: ``m``, ``rad`` or ``1``; not of the pose. Of what is
         no single quantity (scatter, surfaces, unmodelled errors), of a point 30 m away, metres.
@@ -81,8 +81,8 @@ class Uncertainty(msgspec.Struct, frozen=True, eq=False, omit_defaults=True):
         (6, 6) over ``[φ, δ]``, rad and m: type A, from the scatter of these data. Recording again
         draws it again.
     systematic
-        (6, 6) type B, from what is known of the instruments and the poles, and of what no model
-        names. Recording again repeats it.
+        (6, 6) type B, from the known errors of the instruments and the poles, and from unmodelled
+        errors. Recording again repeats it.
     budget
         Every source of error, the largest first.
     """
@@ -163,7 +163,7 @@ def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
 
 
 def floor() -> Array:
-    """(6, 6) of unmodelled errors: no pose is stated surer than this."""
+    """(6, 6) of unmodelled errors: no pose is stated with less uncertainty."""
     return np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
 
 

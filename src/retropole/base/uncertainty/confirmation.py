@@ -34,8 +34,8 @@ smaller odds, with which no wrong answer to such recordings was confirmed (bench
 --times, seeds 100 to 135)."""
 
 UNUSABLE = 0.2
-"""Above this probability that it is wrong an answer is not to be used, and what is reported of it
-is what to do instead. Chosen: one in five and more of such answers are wrong."""
+"""An answer is not to be used above this probability that it is wrong; the report then advises what
+to do instead. Chosen: one in five and more of such answers are wrong."""
 
 REDUNDANT = -4.0
 """The same for poles that are redundant: of the answers with three or four poles in 1,000
@@ -80,10 +80,10 @@ class Confirmation(
         Share of such recordings that deceive, which the next is stated for.
     along
         (3,) unit vector, target axes, along which the scene constrains the pose least; None if that
-        is no shift, or nothing is above the ground.
+        is not a shift, or nothing is above the ground.
     probability_wrong
-        Probability that the answer is off by more than 1° or 0.3 m, where so many recordings
-        deceive; None without a margin. It follows from the others.
+        Probability that the answer is off by more than 1° or 0.3 m, if this share of recordings
+        deceives; None without a margin. It follows from the others.
     """
 
     agreeing: Count
@@ -142,7 +142,7 @@ class Confirmation(
         return f"{text}, {self.missing:,} should agree and do not" if self.missing else text
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """The figures for a person: ``412 patches agree, 3 contradict (0.7 % against it); …``."""
         text = self.counts
         if self.conflicting:

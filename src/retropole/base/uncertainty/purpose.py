@@ -33,7 +33,7 @@ class Need(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m"):
     at: Size
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """For a person, in the units of the options: ``within 2 cm at 30 m``."""
         return f"within {100 * self.within:g} cm at {self.at:g} m"
 
@@ -45,8 +45,8 @@ LARGEST_NEED, FARTHEST = 10.0, 1000.0
 """Errors and distances that a need may name, metres: no LiDAR is that poor, and none reaches it."""
 
 USABLE = Need(0.3, DEFAULT_AT)
-"""What an answer must be good for to be ok where nobody says for what: benchmarks/coverage.py
-counts those that are further off. With the scene, bounds at 30 m are a tenth of it in the median
+"""Required accuracy of an answer to be ok if no need is stated: benchmarks/coverage.py counts those
+that are further off. With the scene, bounds at 30 m are a tenth of it in the median
 (benchmarks/fit.py)."""
 
 
@@ -83,7 +83,7 @@ def _answer(probability: float, doubts: tuple[str, ...]) -> Literal["yes", "no",
 
 
 def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...]) -> str:
-    text = f"{need.words}: {answer}"
+    text = f"{need.text}: {answer}"
     if answer == "not shown":
         text_with_chance = f"{text}, {whole_percent(probability)} sure"
         return text_with_chance + (f" if it were not for {', '.join(doubts)}" if doubts else "")
@@ -211,5 +211,5 @@ def fitness(
     bound = float(np.quantile(sizes, CONFIDENCE / right)) if right > CONFIDENCE else None
     probability = right * met
     answer = _answer(probability, doubts)
-    words = _words(need, answer, probability, doubts)
-    return Fitness(need.within, need.at, answer, probability, bound, words)
+    text = _words(need, answer, probability, doubts)
+    return Fitness(need.within, need.at, answer, probability, bound, text)

@@ -40,7 +40,7 @@ class WatchedPair:
     site
         The pair as it is checked; what is wrong with it is its `fault`.
     origin
-        Id of the site that it is of: its own, or that of a site of many LiDARs.
+        Id of the site that it is of: the site's id, or that of a site of many LiDARs.
     lidars
         Target and source by their names in the stored result of a site; None of a pair.
     """
@@ -60,7 +60,7 @@ def watched_pairs(
     site
         A pair, or a site file of the new recordings.
     answers
-        Rows that hold the stored results, by the ids of sites; None if each site names its own,
+        Rows that hold the stored results, by the ids of sites; None if each site names its results,
         or has ``site-result.json`` next to its file.
     """
     if site.kind == "pair" or site.fault:
@@ -173,13 +173,13 @@ def check_site(
     except Refusal as refusal:
         tried = replace(tried, codes=(refusal.code,), message=quoting(refusal.message))
     except Exception as error:
-        code, words = code_of(error)
-        tried = replace(tried, status="error", codes=(code,), message=words)
+        code, message = code_of(error)
+        tried = replace(tried, status="error", codes=(code,), message=message)
     return tried
 
 
 def unanswered_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
-    """Make the row of a check whose process or worker never answered, of what is known of it."""
+    """Make the row of a check whose process or worker never answered, from what is known."""
     hashes = [each.sha256 or "" for each in row.inputs] or ["", ""]
     return replace(
         _tried(site, check),

@@ -63,7 +63,7 @@ class SiteChange:
         """Whether the newest check found it."""
         return self.is_decided and event.found == len(self.times) - 1
 
-    def words(self, event: Event) -> str:
+    def describe(self, event: Event) -> str:
         """Describe the change, its onset and its size."""
         since = f"{self.times[event.onset]:%Y-%m-%d}"
         new = ", new" if self.is_new(event) else ""
@@ -82,7 +82,7 @@ class SiteChange:
 
 
 def _length(vector: Array, covariance: Array) -> tuple[float, float]:
-    """Give the length of a vector (3,), and 1 σ of it along its own direction."""
+    """Give the length of a vector (3,), and 1 σ of it along its direction."""
     length = float(np.linalg.norm(vector))
     unit = vector / max(length, 1e-12)
     return length, float(np.sqrt(unit @ covariance @ unit))
@@ -130,7 +130,7 @@ def check_fleet(
         What does the tasks: `engine.outcomes` with its client.
     answers
         Path or URL of a dataset of `batch.calibrate_fleet` with the stored results; None
-        where each site names its own, or has it next to the target.
+        if each site names its results, or has it next to the target.
     tolerance
         Movement that matters, rad and m; None for the least that the data show.
     time_limit
@@ -147,7 +147,7 @@ def check_fleet(
     MissingExtraError
         Without the extra ``fleet``.
     UsageError
-        Where `answers` is no dataset, or a site names another stored result.
+        If `answers` is not a dataset, or a site names another stored result.
     ReadError
         If the dataset is damaged.
     OSError

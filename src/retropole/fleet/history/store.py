@@ -87,7 +87,7 @@ class CheckRow(msgspec.Struct, frozen=True):
     step
         (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None if there is none.
     covariance
-        6 × 6 of it, row by row.
+        Covariance of the pose, 6 × 6, row by row.
     random
         6 × 6 of that the part that each check draws anew.
     chi2, power
@@ -134,8 +134,8 @@ def key_of(
 ) -> str:
     """Give the key of a check, of the columns that make it this one; the time is UTC."""
     failure = ("error", *codes) if status == "error" else ()
-    words = "\n".join((name, time.isoformat(), *hashes, *failure))
-    return hashlib.sha256(words.encode()).hexdigest()
+    text = "\n".join((name, time.isoformat(), *hashes, *failure))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def is_usable(has_step: bool, status: str, codes: Collection[str]) -> bool:
@@ -345,7 +345,7 @@ def _parts(names: list[str], most: int) -> Iterator[list[str]]:
 
 
 def rows_of(table: Any, report: Report = _raise) -> Iterator[tuple[str, list[CheckRow]]]:
-    """Give the checks of each site of a table in the order of time; what is no row is reported."""
+    """Give the checks of each site of a table in the order of time; report invalid rows."""
     micros = table.set_column(
         table.schema.get_field_index("time"), "time", table["time"].cast("int64")
     )
@@ -401,7 +401,7 @@ def _table(columns: list[str] | None, place: str) -> Any:
                 raise ReadError(f"{place}: its columns are not of the schema {SCHEMA}")
             # Others are read meanwhile.
             found = file.read(columns, use_threads=False)
-            # Text that is no UTF-8, for one.
+            # Text that is not UTF-8, for example.
             found.validate(full=True)
     except ReadError as error:
         return error

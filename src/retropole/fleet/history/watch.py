@@ -19,7 +19,7 @@ separately; correlations of later checks between these axes are neglected. For e
 Changes show in several checks together: for onsets within the last year, a step and a trend from
 there on are compared with no change by their likelihood (window-limited GLR, Willsky and Jones
 1976; Lai 1998). A check that the filter excludes is treated as one that is just about excluded: as
-if its scatter were that much wider. So a single one is no change, but two that agree are. An
+if its scatter were that much wider. So a single one is not a change, but two that agree are. An
 excluded check waits until another shows whether it is an *outlier*, if the next fits again (a
 lorry was in view), or the first of a *step*. A change that was found becomes part of the
 expectation, and the watch continues.
@@ -76,12 +76,12 @@ MOST_STEPS = 40
 
 SPACING, FRESH = 20.0, 4
 """Days between onsets of trends that are tried: those of neighbours are hardly distinguished; but
-each of the newest checks is tried: at 5 mm a day and a check a week nothing else shows the
+each of the newest checks is tried: at 5 mm a day and a check a week only these show the
 change."""
 
 STEP, TREND = 42.0, 18.0
-"""Twice the log likelihood ratio from which a step, or a trend of few days, was found, and one of
-many: trends of neighbouring onsets are almost one, so that chance makes less of them."""
+"""Twice the log likelihood ratio from which a step, or a trend of few days, was found, and a trend
+of many: trends of neighbouring onsets are almost one, so that chance exceeds it less often."""
 
 SHORTEST_TREND = 120.0
 """Days a trend must have lasted: over fewer it cannot be distinguished from a step, unless it is
@@ -150,7 +150,7 @@ class Event:
         (6,) of a step, rad and m, or of a trend, per year; of *moved*, the newest check's step from
         the stored pose; None of others.
     covariance
-        (6, 6) of it.
+        (6, 6) covariance of the step.
     statistic
         Twice the log likelihood ratio against no change; of an outlier, or *moved*, its χ².
     lead
@@ -173,7 +173,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """The checks of a site so far.
+    """The checks of a site until now.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ class _Filter:
     axes
         (6, 6) of a step the six that are filtered.
     likelihood
-        (R,) logarithm of the likelihood of the checks so far.
+        (R,) logarithm of the likelihood of the checks until now.
     total, weight
         (R,) of the squared scale, and the number of checks that it is from.
     mean, covariance
@@ -377,7 +377,7 @@ def _found(now: _Filter, n: int) -> tuple[int, Event] | None:
         back = np.linalg.inv(now.axes)
         A, b = now.information[now.best, :, m], now.vector[now.best, :, m]
         size, covariance = back @ (b / A), (back / A) @ back.T
-        # The movement of a short trend so far, and that of a long one in a year.
+        # The movement of a short trend until now, and that of a long one in a year.
         so_far = size * (now.days - now.began[m]) / YEAR if short[m] else size
         if np.linalg.norm(so_far[:3]) >= LEAST[0] or np.linalg.norm(so_far[3:]) >= LEAST[1]:
             others = statistics[now.is_trend != now.is_trend[m]].max(initial=0.0)

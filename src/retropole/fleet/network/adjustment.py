@@ -1,7 +1,7 @@
 """A network adjusted by GTSAM: a robust start, least squares, marginals, and a test of each edge.
 
 What an observation misses, and how much of an error of it shows there, follow from the covariance
-of its own ends alone (Baarda 1968): with A its whitened derivative and Q that covariance, an error
+of its ends alone (Baarda 1968): with A its whitened derivative and Q that covariance, an error
 ∇ shows as ``(I − A Q Aᵀ) ∇``. How much the sum of squares falls without the observation is its χ².
 That with the largest χ² around goes, and all is adjusted and tested anew, until nothing changes.
 """
@@ -25,14 +25,14 @@ from .graph import Component, Graph, connected, find_components, labels, twice, 
 
 SIGNIFICANCE = 1e-5
 """Probability of a sound observation's χ² to be beyond what is taken for chance: a hundredth of the
-sound edges that may be lost at most, one in a thousand. w is then 4.4."""
+largest share of sound edges that may be lost, one in a thousand. w is then 4.4."""
 
 POWER = 0.8
 """With which probability the least detectable error is found (Baarda 1968)."""
 
 LEAST_CHECKED = 1e-5
-"""Part of an error that must show in the residuals to be tested: far above the rounding that is
-left of what no observation checks, far below what any test could find."""
+"""Part of an error that must show in the residuals to be tested: far above the rounding errors of
+unchecked observations, far below the least error that any test could find."""
 
 PLAIN = 10.0
 """How far beyond chance an observation must miss at first to be out before any test, as a multiple
@@ -49,7 +49,7 @@ DATUM_SIGMA = 1e-6
 """1 σ of the constraint of the datum, rad and m."""
 
 MOST_ROUNDS = 30
-"""So often the network is adjusted again at most."""
+"""Largest number of further adjustments of the network."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -408,7 +408,7 @@ def all_tests(graph: Graph, values: Any, active: BoolArray) -> Tests:
     joint[:edges, :6, 6:], joint[:edges, 6:, :6] = cross, np.swapaxes(cross, 1, 2)
     taken_up = A @ joint @ np.swapaxes(A, 1, 2)
     shows = np.eye(6) - taken_up
-    # One that is left out would take the poses along so far.
+    # One that is left out would move the poses by this much.
     shows[~active] = np.linalg.inv(np.eye(6) + taken_up[~active])
     measured = np.arange(6) < graph.numbers[:, None]
     shows *= measured[:, :, None] & measured[:, None, :]
@@ -424,7 +424,7 @@ def all_tests(graph: Graph, values: Any, active: BoolArray) -> Tests:
 
 
 def _rivals(graph: Graph, tests: Tests, active: BoolArray) -> dict[int, list[int]]:
-    """For what is left out the active ones, checked by nothing else, that close a loop with it."""
+    """For what is left out the active ones, without another check, that close a loop with it."""
     lone = active & (tests.freedom == 0)
     label = labels(graph, active & ~lone)
     bridges, (i, j) = np.flatnonzero(lone), label[graph.ends].T
@@ -459,7 +459,7 @@ def _detectable(graph: Graph, tests: Tests) -> Array:
 def _normalised(chi2: Array, freedom: IntArray) -> Array:
     """Give each χ² as a standard normal number of the same probability; 0 without freedom."""
     p = np.where(freedom > 0, chdtrc(np.maximum(freedom, 1), chi2), 1.0)
-    # Where the probability is too small for a number, the χ² is its own best measure.
+    # Where the probability is too small for a number, the χ² is the best measure.
     return np.where(p > 1e-300, np.sqrt(2) * erfcinv(np.maximum(p, 1e-300)), np.sqrt(chi2))
 
 

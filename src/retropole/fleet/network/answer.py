@@ -75,10 +75,10 @@ def name_of(of: FleetNetwork, k: int) -> str:
 
 def reason_of(of: FleetNetwork, found: NetworkAdjustment, k: int) -> str:
     """Describe how an observation does not fit, and which others may be wrong instead."""
-    words = f"{name_of(of, k)}: w {found.w[k]:.1f} against all others"
+    text = f"{name_of(of, k)}: w {found.w[k]:.1f} against all others"
     if rivals := ", ".join(name_of(of, rival) for rival in found.rivals.get(k, ())):
-        words += f"; {rivals} may be the wrong one instead"
-    return words
+        text += f"; {rivals} may be the wrong one instead"
+    return text
 
 
 def _lines(of: FleetNetwork, found: NetworkAdjustment) -> Iterator[dict[str, Any]]:

@@ -17,7 +17,7 @@ from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
 
 LEAST_INDEPENDENT = 1e-5
-"""Part of its own variance that is added to that of each number: GTSAM gives up where one is known
+"""Part of the variance of each number that is added to it: GTSAM gives up where one is known
 2¹² times better given another."""
 
 LEAST_LEVER = 1e-3
@@ -61,7 +61,7 @@ class ControlPoints:
     covariance
         (P, 3, 3) of survey and sight together, m², axes of the network.
     seen
-        (P, 3) where the node sees it, metres, in its own frame; its own origin unless given.
+        (P, 3) where the node sees it, metres, in the frame of the node; its origin unless given.
     """
 
     node: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -113,7 +113,7 @@ class Graph:
 
     @cached_property
     def roots(self) -> Array:
-        """(M, 6, 6) by which residuals of GTSAM are counted in σ, ``WᵀW = C⁻¹``.
+        """(M, 6, 6) that make residuals of GTSAM multiples of σ, ``WᵀW = C⁻¹``.
 
         A point has its three numbers first.
 
@@ -233,7 +233,7 @@ def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
     near = np.zeros(graph.nodes + 1)
     for _ in range(2):
         reach = np.maximum(score, np.maximum(near[i], near[j]))
-        # The ground is no neighbourhood: it does not connect controls at two ends of a city.
+        # The ground is not a neighbourhood: it does not connect controls at two ends of a city.
         for end in (i, j):
             np.maximum.at(near, end, reach)
         near[-1] = 0.0

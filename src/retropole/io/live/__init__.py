@@ -69,7 +69,7 @@ class Source(Protocol):
         Raises
         ------
         ReadError
-            If what came is no sweep; the next call goes on.
+            If what came is not a sweep; the next call goes on.
         """
         ...
 

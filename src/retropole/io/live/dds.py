@@ -131,7 +131,7 @@ def message_of(name: str, data: bytes) -> Any:
 
 @cache
 def _idl(name: str) -> Any:
-    """Make the type of a message as DDS knows it, from what rosbags knows of it."""
+    """Make the type of a message as DDS knows it, from its definition in rosbags."""
     from cyclonedds.idl import make_idl_struct, types
     from rosbags.interfaces import Nodetype
     from rosbags.typesys import Stores, get_typestore
@@ -161,7 +161,7 @@ def dds_name(name: str) -> str:
 
 
 def _clock_of(data: bytes) -> float:
-    """Time at which a message with a header says that it was made, s."""
+    """Time at which a message was made, by its header, s."""
     order = "<" if data[1] % 2 else ">"
     seconds, nanoseconds = struct.unpack_from(f"{order}iI", data, 4)
     return float(seconds) + float(nanoseconds) / NANOSECONDS
@@ -219,8 +219,8 @@ class DdsSource:
         if not own:
             gone = "no longer " if self._count else "not "
             others = sorted({name for name, kind, _ in there if kind == dds_name(CLOUDS)})
-            words = f"{self._topic} is {gone}published in domain {self._domain}"
-            return f"{words}; clouds are on: {', '.join(others) or 'no topic'}"
+            state = f"{self._topic} is {gone}published in domain {self._domain}"
+            return f"{state}; clouds are on: {', '.join(others) or 'no topic'}"
         if dds_name(CLOUDS) not in own:
             return f"{self._topic} is of {own[0]}, expected {dds_name(CLOUDS)}"
         return f"{self._topic} has a publisher, but no message arrives"

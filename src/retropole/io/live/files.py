@@ -1,5 +1,5 @@
-"""Folders that grow by files, and bags that are being recorded: whoever writes them, they are read
-on from where the last look ended.
+"""Folders that grow by files, and bags that are being recorded: independent of their writer, they
+are read on from the end of the last look.
 
 An MCAP file has its index at its end, so that there is none yet: whole records are read in turn.
 """
@@ -55,7 +55,7 @@ READ = 3, 4, 5, 6
 """Kinds of records that are read: schemas, channels, messages and chunks."""
 
 LARGEST_SKIPPED = 2**32
-"""Bytes of others, as of attachments; what says that it is larger is damage."""
+"""Bytes of others, as of attachments; a larger size is damage."""
 
 
 class _Looking:
@@ -214,7 +214,7 @@ class Message(NamedTuple):
 
 
 class Recorded:
-    """What was read of a bag so far: its topics, and of those with clouds the newest message.
+    """What was read of a bag until now: its topics, and of those with clouds the newest message.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from ..recordings import Frame, Recording
 from ..ros import frame_of
 
 QUIET = 2.0
-"""Seconds without a sweep after which a source says what it waits for: at 5 Hz, the slowest that
+"""Seconds without a sweep after which a source reports what it waits for: at 5 Hz, the slowest that
 sensors turn, ten sweeps."""
 
 Entry = tuple[float | None, Callable[[], Frame]]

@@ -569,7 +569,7 @@ def _named(sender: tuple[str, int]) -> str:
 
 
 def _coming(own: socket.socket, closed: Event) -> Iterator[tuple[bytes, tuple[str, int]]]:
-    """Receive packets, with the sender of each, until told to end; then close the port."""
+    """Receive packets, with the sender of each, until the stop event; then close the port."""
     with own:
         while not closed.is_set():
             try:
@@ -595,6 +595,6 @@ def _opened(port: int, host: str) -> socket.socket:
         own.close()
         if error.errno == errno.EADDRINUSE:
             raise UsageError(f"port {port}: another program listens on it already") from None
-        words = error.strerror or str(error)
-        raise UsageError(f"port {port}: cannot be opened on {host} ({words})") from None
+        reason = error.strerror or str(error)
+        raise UsageError(f"port {port}: cannot be opened on {host} ({reason})") from None
     return own

@@ -59,7 +59,7 @@ class Sender:
     rows, times
         Its packets, by their numbers in the recording; when each came, by the recorder's clock, s.
     angles, identified
-        Its own, where a packet reported them, and how many packets report on it.
+        Those of the unit, if a packet reported them, and how many packets report on it.
     """
 
     title: str
@@ -172,7 +172,7 @@ def packets_in(path: Path, topic: Topic, wanted: Wanted = USUAL) -> Recording:
     alone = (SimilarPackets(each, (row,), (each.time,)) for row, each in enumerate(every()))
     senders, sizes = survey(alone)
     if not senders:
-        raise ReadError(f"{path}: topic {topic.name} holds {unknown(sizes)}")
+        raise ReadError(f"{path}: topic {topic.name} has {unknown(sizes)}")
     # A bag does not say who sent what: the LiDAR is the one with most packets.
     sender = max(senders.values(), key=lambda each: len(each.rows))
     return replace(_recording(path, sender, read, wanted, ()), topic=topic.name)
@@ -339,11 +339,11 @@ def _first(columns: Columns) -> float | None:
 
 
 def _of_ouster(path: Path, capture: Capture, wanted: Wanted) -> Recording:
-    """Open a capture of an Ouster, whose metadata say how its packets are arranged."""
-    words = sizes_in_words(capture)
-    metadata = find_metadata(path, words)
+    """Open a capture of an Ouster, whose metadata describe the layout of its packets."""
+    sizes = sizes_in_words(capture)
+    metadata = find_metadata(path, sizes)
     note = capture.note(0)
     read = partial(sweeps_of_capture, path, metadata)
     with naming(metadata), reported("file of an Ouster's metadata"):
         name = model_named(metadata)
-    return _decoded(path, read, name, wanted, sizes=words, notes=(note,))
+    return _decoded(path, read, name, wanted, sizes=sizes, notes=(note,))

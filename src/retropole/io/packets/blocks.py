@@ -1,6 +1,6 @@
-"""Packets of Hesai: blocks of channels with one azimuth each, to which each channel adds its own.
+"""Packets of Hesai: blocks of channels with one azimuth each, to which each channel adds an offset.
 
-A channel's sweep begins where its own azimuth passes 0°, so packets hold parts of two sweeps there;
+A channel's sweep begins where its azimuth passes 0°, so packets hold parts of two sweeps there;
 a firing at 0° exactly ends the sweep before.
 """
 
@@ -42,7 +42,7 @@ class Fired(NamedTuple):
     part
         Which packets.
     take
-        From values of the slots (K of them) those of the returns that are kept (K, M).
+        From values of the K slots those of the returns that are kept (K, M).
     distance
         (N, B, C) m.
     intensity, time, packet
@@ -130,7 +130,7 @@ def fired(model: Model, packets: NDArray[np.uint8]) -> Iterator[Fired]:
     """Keep the returns of packets within the range of the model, the last of equal ones."""
     layout = _layout(model)
     near, far = (np.array(model.range_m) / model.distance_m).round(6)
-    # Zero is no return.
+    # Zero is not a return.
     least, most = max(math.ceil(near), 1), min(math.floor(far), 2**16 - 1)
     modes = _of_packets(packets, layout.returns, "u1") if layout.returns else np.zeros(1, np.uint8)
     echoes = ECHOES.get(int(np.bincount(modes).argmax()), 1) if len(packets) else 1
@@ -178,7 +178,7 @@ def _blocks_s(layout: Blocks, echoes: int) -> Array:
 
 
 def _states(layout: Blocks, packets: NDArray[np.uint8], echoes: int) -> IntArray:
-    """Find for each block (N, B) which of the firing times are its own."""
+    """Find for each block (N, B) which of the firing times belong to it."""
     shape = (len(packets), layout.count)
     states = np.zeros(shape, np.int64)
     if layout.states == "loops":
@@ -214,7 +214,7 @@ def _of_packets(packets: NDArray[np.uint8], at: int, kind: str) -> NDArray[np.ui
 
 
 def of_blocks(layout: Blocks, packets: NDArray[np.uint8], at: int, kind: str) -> NDArray[np.uint16]:
-    """View a number of each block (N, B) that is at a byte of it."""
+    """View a number of each block (N, B) that is at one of its bytes."""
     shape = (len(packets), layout.count)
     strides = (packets.strides[0], layout.block)
     contiguous = np.ascontiguousarray(packets)

@@ -31,7 +31,7 @@ PCAPNG_START = b"\x0a\x0d\x0d\x0a"
 
 BLOCK_HEADER, INTERFACE, SIMPLE, PACKET, RESOLUTION = 12, 1, 3, 6, 9
 """Of a pcapng: bytes of the smallest block; kinds of blocks, and the option of an interface that
-says how long a tick is. From draft-ietf-opsawg-pcapng, 4."""
+states how long a tick is. From draft-ietf-opsawg-pcapng, 4."""
 
 CAPTURE_HEADER, PACKET_HEADER = 24, 16
 """Bytes before the first packet, and before each."""
@@ -106,7 +106,7 @@ def walk(path: Path) -> Capture:
     Raises
     ------
     ReadError
-        If the file is no capture, has no whole packet, or is damaged all over.
+        If the file is not a capture, has no whole packet, or is damaged all over.
     """
     size = path.stat().st_size
     records, gaps = list[Record | NDArray[np.void]](), list[Record]()
@@ -130,7 +130,7 @@ def walk(path: Path) -> Capture:
                 end = at
             if following > end:
                 gaps.append(Record(end, following - end))
-            # More is not worth the time: it is no capture.
+            # More is not worth the time: it is not a capture.
             if len(gaps) > 1000 or tries[0] <= 0:
                 damaged = f"is damaged at {len(gaps)} places up to byte {following}"
                 raise ReadError(f"{damaged}, expected a capture")
@@ -150,8 +150,8 @@ RECORDS = np.dtype([("start", "i8"), ("size", "i8"), ("time", "f8"), ("link", "i
 """What `Record` has, of many."""
 
 Step = tuple[Record | NDArray[np.void] | None, int, int]
-"""A record, many of them, or None if there is none; the byte where the next begins, and where it
-was looked for."""
+"""A record, many records, or None if there is none; the byte at which the next begins, and that at
+which it was looked for."""
 
 OF_ONE_SIZE = 8
 """This many records of one size in a row may be followed by more, which are found at once."""
@@ -256,7 +256,7 @@ def _blocks(file: BinaryIO, size: int, tries: list[int]) -> Iterator[Step]:
         elif kind == SIMPLE and interfaces:
             (sent,) = struct.unpack_from(f"{order}I", block, 8)
             record = Record(at + 12, min(sent, length - 16), 0.0, interfaces[0][0])
-        # What pads a block is no gap.
+        # The padding of a block is not a gap.
         yield record, record.start + record.size, at
         at += length
 
@@ -401,7 +401,7 @@ class SimilarPackets(NamedTuple):
     Attributes
     ----------
     first
-        One of them.
+        One of these packets.
     rows, times
         Which of all they are, ascending, and when each came, s.
     starts
@@ -465,7 +465,7 @@ def similar_packets(
 
 
 def _udp(packet: bytes, link: int, time: float) -> tuple[Datagram, int, IntArray]:
-    """Take what UDP carries in a packet, where it begins, and which bytes before it are the same in
+    """Take the UDP payload of a packet, its position, and which bytes before it are the same in
     each packet of its size and sender.
     """
     nothing = Datagram(b"", "", time), 0, np.zeros(0, np.int64)
@@ -514,7 +514,7 @@ READ_AT_ONCE = 256
 """Packets that are read at once where they lie together."""
 
 LARGEST_READ = 2**21
-"""Bytes that are read for them at most, else each by itself."""
+"""Largest number of bytes read for them together, else each by itself."""
 
 UDP = 17
 """Number of UDP in an IP packet."""
@@ -537,5 +537,5 @@ def _ip(packet: bytes, link: int) -> int:
 def sizes_in_words(capture: Capture) -> str:
     """Name the sizes of most packets."""
     sizes = Counter(capture.records[:, 1].tolist()).most_common(3)
-    words = ", ".join(f"{size} ({count} times)" for size, count in sizes)
-    return f"{words or 'no'} bytes with their headers"
+    counts = ", ".join(f"{size} ({count} times)" for size, count in sizes)
+    return f"{counts or 'no'} bytes with their headers"

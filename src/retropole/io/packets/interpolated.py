@@ -284,7 +284,7 @@ def _is_dual(azimuth: Array) -> bool:
 
 
 def _kept_of_two(rows: _Rows, unit: float) -> BoolArray:
-    """Find what remains (N, R, S) where each firing has two returns, in rows of one azimuth.
+    """Find the remaining returns (N, R, S), if each firing has two, in rows of one azimuth.
 
     The rows of a packet may be an odd number: the second return is in the next packet then.
     """

@@ -1,8 +1,8 @@
 """Models of LiDARs by their packets: each is a table of its maker's file, none is code.
 
-A table says how packets of a model are recognized, what they hold where, and at which angles and
-when each channel fires. What packets of one shape have in common is a family: a layout here, and
-a module with ``positions`` and ``decode``.
+A table states how packets of a model are recognized, the layout of their fields, and the angles and
+times at which each channel fires. What packets of one shape have in common is a family: a layout
+here, and a module with ``positions`` and ``decode``.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Returns(NamedTuple):
     ring
         (M,) rank of the elevation from below; None for a model without rings.
     time
-        (M,) s, when each fired: the packet's own time, and what block and channel add.
+        (M,) s, when each fired: the time of the packet, and what block and channel add.
     turn
         (M,) the sweep, on the scale of the positions of the packets.
     packet
@@ -139,7 +139,7 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Blocks(Layout, frozen=True, tag_field="family", tag="blocks", kw_only=True):
-    """Of Hesai: blocks of channels, each with one azimuth, to which each channel adds its own.
+    """Of Hesai: blocks of channels, each with one azimuth, to which each channel adds an offset.
 
     Attributes
     ----------
@@ -368,7 +368,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @cached_property
     def angles(self) -> Angles:
-        """Those of the table, for units whose own are not known."""
+        """Those of the table, for units whose angles are not known."""
         azimuth = self.azimuth_deg or (0.0,) * len(self.elevation_deg)
         return Angles(np.radians(self.elevation_deg), np.radians(azimuth))
 

@@ -1,8 +1,8 @@
-"""Packets that say of each point where it is: angles and a distance, a vector and a distance, or
+"""Packets that give the position of each point: angles and a distance, a vector and a distance, or
 coordinates. RoboSense's M1 and E1, and Livox.
 
 A sweep is a frame that the LiDAR counts, or of one that never repeats its pattern a tenth of a
-second. Livox' tags say how likely a point is noise; no manual says to drop any, so none is.
+second. Livox' tags rate how likely a point is noise; no manual advises to drop any, so none is.
 """
 
 from __future__ import annotations

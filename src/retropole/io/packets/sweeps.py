@@ -1,7 +1,7 @@
 """From packets to sweeps: of recordings, read in ranges, and of packets that come now.
 
 Of a recording, one pass reads where in their turns packets are. Then a sweep is decoded from its
-own packets alone, so that few are in memory at a time.
+packets alone, so that few are in memory at a time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Sweep(NamedTuple):
     origin
         (3,) of its beams.
     model, notes, nominal_angles
-        What `PointCloud` is to have of it.
+        As `PointCloud` has them.
     """
 
     stamp: float | None
@@ -58,7 +58,7 @@ PILED = 64
 """Packets that come now are looked at this many at a time: every 5 to 30 ms."""
 
 MOST_KEPT = 2**14
-"""Packets that come now are kept at most, where no sweep becomes whole: 1.2 s of an OT128."""
+"""Largest number of new packets kept while no sweep is complete: 1.2 s of an OT128."""
 
 
 def stacked(payloads: Sequence[bytes]) -> NDArray[np.uint8]:
@@ -94,7 +94,7 @@ class Index:
     turns
         (S,) number of each sweep, on the scale of the positions, in the order of their packets.
     rows
-        Of each sweep, which packets hold parts of it.
+        Of each sweep, which packets have its parts.
     """
 
     positions: Array
@@ -154,7 +154,7 @@ def sweeps_of(
     numbers: range,
     read: Callable[[IntArray], Iterator[NDArray[np.uint8]]],
 ) -> Iterator[tuple[int, Sweep]]:
-    """Decode sweeps, each from its own packets.
+    """Decode sweeps, each from its packets.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def sweep(
     Parameters
     ----------
     model, angles, packets, positions
-        Of the packets (N, size) that hold parts of it.
+        Of the packets (N, size) that have its parts.
     turn, ends
         Its number; the first and the last of all, to which what lies before and after belongs.
     """

@@ -37,37 +37,37 @@
   const first = scene.clouds[0];
   const poses = new Map(scene.poses.map((pose) => [pose.id, pose]));
   const layers = { poles: true, names: true, rejected: pair || recordings, contradicting: true, ellipsoid: true, intensity: true };
-  /** Without poses one LiDAR at a time is shown, in its own frame. */
+  /** Without poses one LiDAR at a time is shown, in its frame. */
   const lidars = scene.lidars.map((_, k) => !alone || k === first.lidar);
   const places = scene.placements.map((_, j) => j === first.placement);
   const state = { mode: pair ? "apart" : "after", pose: scene.poses.length ? scene.poses[0].id : null, T: IDENTITY, size: 1.5 };
 
   const isOn = (cloud) => lidars[cloud.lidar] && places[cloud.placement];
   /** Clouds that were shown until now: a recording is decoded when it is shown for the first time. */
-  let held = [];
+  let loaded = [];
   function hold() {
-    const before = held.length;
+    const before = loaded.length;
     for (const cloud of scene.clouds) {
       if (!places[cloud.placement] || (alone && !isOn(cloud))) continue;
       cloud.decoded ||= decodeCloud(cloud.points);
       cloud.threshold ??= cloud.decoded.levels?.threshold;
       cloud.denying ||= Object.fromEntries(Object.entries(cloud.contradicting).map(([pose, points]) => [pose, decodePoints(points)]));
     }
-    held = scene.clouds.filter((cloud) => cloud.decoded);
-    return held.length !== before;
+    loaded = scene.clouds.filter((cloud) => cloud.decoded);
+    return loaded.length !== before;
   }
   /** Where the camera looks in each of two panes: at the poles of each LiDAR, or at the whole site. */
   function frames() {
     const [x, y, z] = scene.centre;
     if (scene.kind === "site") return [{ centre: scene.centre, origin: [x + scene.radius, y, z], radius: scene.radius }];
-    if (alone) return [(held.find(isOn) || held[0]).decoded];
-    return [0, 1].map((k) => held.find((cloud) => cloud.lidar === k).decoded);
+    if (alone) return [(loaded.find(isOn) || loaded[0]).decoded];
+    return [0, 1].map((k) => loaded.find((cloud) => cloud.lidar === k).decoded);
   }
 
   hold();
   const [canvas, marks] = [$("#points"), $("#marks")];
   const webgl = canvas.getContext("webgl2", { antialias: false, alpha: false });
-  const decoded = () => held.map((cloud) => cloud.decoded);
+  const decoded = () => loaded.map((cloud) => cloud.decoded);
   const view = webgl ? webglView(canvas, webgl, marks, decoded(), frames()) : topView(canvas, marks, decoded(), frames());
   if (!webgl) {
     $("#fallback").textContent = "This browser gives no WebGL: the clouds are shown from above.";
@@ -89,17 +89,17 @@
   function styleOf(plain) {
     const css = (name) => `rgb(${colour(name)})`;
     return {
-      ground: colour("--view"), bright: colour("--bright"), limits: held.map(limitOf), colours: held.map((cloud) => colourOf(cloud.lidar)), ofLidar: scene.lidars.map((_, k) => colourOf(k)),
-      text: css("--text"), soft: css("--soft"), faint: css("--line"), denied: css("--denied"),
-      visible: held.map((cloud) => (plain ? places[cloud.placement] : isOn(cloud))), shade: layers.intensity ? 1 : 0,
+      ground: colour("--view"), bright: colour("--bright"), limits: loaded.map(limitOf), colours: loaded.map((cloud) => colourOf(cloud.lidar)), ofLidar: scene.lidars.map((_, k) => colourOf(k)),
+      text: css("--text"), soft: css("--soft"), faint: css("--line"), contradicting: css("--denied"),
+      visible: loaded.map((cloud) => (plain ? places[cloud.placement] : isOn(cloud))), shade: layers.intensity ? 1 : 0,
       size: plain ? 0.8 : state.size, dpr: ratio(), lidars: lidars.map((on) => plain || on), places, layers, plain,
     };
   }
 
-  /** A pane whose source stands as a pose has it, or which shows the clouds of some LiDARs alone. */
+  /** A pane whose source is placed by a pose, or which shows the clouds of some LiDARs alone. */
   function pane(box, T, id, more) {
     const sensors = scene.lidars.map((_, k) => poseOf(k, T));
-    return { ...box, frame: 0, id, sensors, poses: held.map((cloud) => sensors[cloud.lidar]), ...more };
+    return { ...box, frame: 0, id, sensors, poses: loaded.map((cloud) => sensors[cloud.lidar]), ...more };
   }
   function panes() {
     if (state.mode !== "apart") {
@@ -109,8 +109,8 @@
     const wide = width > height * 1.2;
     const [w, h] = wide ? [Math.floor(width / 2), height] : [width, Math.floor(height / 2)];
     const only = (k) => ({
-      frame: k, title: `${scene.lidars[k].name}, in its own frame`,
-      sensors: [0, 1].map((n) => (n === k ? IDENTITY : null)), poses: held.map((cloud) => (cloud.lidar === k ? IDENTITY : null)),
+      frame: k, title: `${scene.lidars[k].name}, in its frame`,
+      sensors: [0, 1].map((n) => (n === k ? IDENTITY : null)), poses: loaded.map((cloud) => (cloud.lidar === k ? IDENTITY : null)),
     });
     return [
       pane({ x: 0, y: 0, w, h }, IDENTITY, null, only(0)),
@@ -124,13 +124,13 @@
     view.paint(parts, style, height);
     context.setTransform(style.dpr, 0, 0, style.dpr, 0, 0);
     context.clearRect(0, 0, width, height);
-    for (const part of parts) drawMarks(context, part, view.lens(part), scene, held, style);
+    for (const part of parts) drawMarks(context, part, view.lens(part), scene, loaded, style);
     if (picked && isOn(picked.cloud)) {
       const lens = view.lens(parts[0]), v = lens.toView(picked.at);
       context.beginPath();
       if (v[2] < -NEAR) context.arc(...lens.toPixel(v), 9, 0, 2 * Math.PI);
       context.lineWidth = 2;
-      context.strokeStyle = style.denied;
+      context.strokeStyle = style.contradicting;
       context.stroke();
     }
     if (parts.length === 2) {
@@ -154,7 +154,7 @@
       const context = target.getContext("2d");
       context.drawImage(canvas, 0, 0, w * dpr, h * dpr, 0, 0, w * dpr, h * dpr);
       context.setTransform(dpr, 0, 0, dpr, 0, 0);
-      drawMarks(context, part, view.lens(part), scene, held, style);
+      drawMarks(context, part, view.lens(part), scene, loaded, style);
     }
     paint();
   }
@@ -196,18 +196,18 @@
   // --- what the reader chooses ---
 
   function describePair() {
-    if (state.mode === "apart") return "Apart: each cloud in its own frame.";
+    if (state.mode === "apart") return "Apart: each cloud in its frame.";
     if (state.mode === "before") return "Before: both clouds as recorded, as if they had one frame.";
     const shown = state.pose === "result" && scene.ellipsoid && layers.ellipsoid
       ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
     const caution = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
-    const denied = held.some((cloud) => places[cloud.placement] && cloud.denying[state.pose].length);
-    const red = layers.contradicting && denied ? " Red: in space that the other LiDAR saw to be empty." : "";
+    const conflicts = loaded.some((cloud) => places[cloud.placement] && cloud.denying[state.pose].length);
+    const red = layers.contradicting && conflicts ? " Red: in space that the other LiDAR saw to be empty." : "";
     return `After: source transformed by ${state.pose === "result" ? "the result" : poses.get(state.pose).label}.${caution}${red}${shown}`;
   }
   function describeRecording({ lidar, threshold, decoded: { levels }, poles, rejected }) {
-    const name = `${scene.lidars[lidar].name}, in its own frame.`;
-    if (!levels) return `${name} Its intensities tell no tape.`;
+    const name = `${scene.lidars[lidar].name}, in its frame.`;
+    if (!levels) return `${name} Its intensities do not show tape.`;
     const found = poles.length || rejected.length ? ` Poles and rejected clusters: as found from ${short(levels.threshold)} up.` : "";
     return `${name} In colour: ${short(threshold)} or brighter.${found}`;
   }
@@ -218,15 +218,15 @@
     const when = chosen.length ? `placement ${chosen.join(", ")}` : "no placement";
     if (pair) return describePair() + (places.length > 1 ? ` Shown: ${when}.` : "");
     if (!alone) return `Shown: ${what}; ${when}.`;
-    if (recordings) return describeRecording(held.find(isOn));
+    if (recordings) return describeRecording(loaded.find(isOn));
     const none = scene.clouds.some(isOn) ? "" : " It recorded nothing there.";
-    return `Refused, so there are no poses: ${what} alone, in its own frame; ${when}.${none}`;
+    return `Refused, so there are no poses: ${what} alone, in its frame; ${when}.${none}`;
   }
   let shownAlone = "";
   const short = (value) => String(Number(value.toPrecision(4)));
   const slider = $("#threshold");
   function tellThreshold() {
-    const { decoded: { levels }, threshold } = held.find(isOn), limit = 65535 * limitOf(held.find(isOn));
+    const { decoded: { levels }, threshold } = loaded.find(isOn), limit = 65535 * limitOf(loaded.find(isOn));
     const bright = levels.values.reduce((sum, value) => sum + (value >= limit), 0);
     $("#level").textContent = `${short(threshold)}: ${bright.toLocaleString("en")} points`;
     slider.setAttribute("aria-valuetext", $("#level").textContent);
@@ -234,7 +234,7 @@
   /** Set the slider to the threshold of the recording that is shown. */
   function offerThreshold() {
     if (!slider) return;
-    const { decoded: { levels }, threshold } = held.find(isOn);
+    const { decoded: { levels }, threshold } = loaded.find(isOn);
     slider.parentElement.hidden = !levels;
     if (!levels) return;
     const low = Math.min(levels.median, levels.threshold), high = Math.max(levels.high, levels.threshold);
@@ -243,7 +243,7 @@
     tellThreshold();
   }
   slider?.addEventListener("input", () => {
-    held.find(isOn).threshold = Number(slider.value);
+    loaded.find(isOn).threshold = Number(slider.value);
     tellThreshold();
     repaint(false);
   });
@@ -251,11 +251,11 @@
 
   // --- a point of a recording is picked: where the LiDAR sees a surveyed target ---
 
-  /** Returns of a target lie within so many metres of the picked one. */
+  /** Returns of a target lie within this distance, metres, of the picked one. */
   const TARGET = 0.15;
   let picked = null;
   function pick(at) {
-    const cloud = held.find(isOn), [part] = panes();
+    const cloud = loaded.find(isOn), [part] = panes();
     const n = pickPoint(cloud.decoded, view.lens(part), at, 8);
     if (n === null) return;
     const point = pointOf(cloud.decoded, n), strength = cloud.decoded.levels?.values, limit = 65535 * limitOf(cloud);

@@ -10,7 +10,7 @@ function colour(name) {
   return [1, 3, 5].map((k) => parseInt(text.slice(k, k + 2), 16));
 }
 
-// Chromium rounds the scale of a canvas on paper down to 1/64 of a pixel: of these sizes, beside
+// Chromium rounds the scale of a canvas on paper down to 1/64 of a pixel: of these sizes, next to
 // those of the style, hardly anything is lost. Others leave a blank edge, or stretch the picture.
 const PAPER = { width: 1000, height: 540, dpr: 2, panel: { width: 316, height: 237 } };
 
@@ -33,7 +33,7 @@ function setUpPage(repaint) {
     setTimeout(() => { button.textContent = "Copy"; }, 1600);
   }));
 
-  // Where a table is wider than its place, its caption says that it scrolls.
+  // Where a table is wider than its place, its caption states that it scrolls.
   const sizes = new ResizeObserver((entries) => entries.forEach(({ target }) => {
     const box = target.closest(".scroll");
     box.toggleAttribute("data-scrolls", box.scrollWidth > box.clientWidth + 1);
@@ -79,7 +79,7 @@ function handOver(view, repaint) {
   const coarse = matchMedia("(pointer: coarse)").matches;
   const turn = view.kind === "webgl" ? "rotate" : "move";
   const hints = coarse
-    ? [`Tap to ${turn} the view; a finger scrolls the page`, `Drag to ${turn}, pinch to zoom; tap beside the view to scroll again`]
+    ? [`Tap to ${turn} the view; a finger scrolls the page`, `Drag to ${turn}, pinch to zoom; tap outside the view to scroll again`]
     : [`Drag to ${turn}; click, then wheel to zoom`, ""];
   function activate(on) {
     view.allowWheel(on);

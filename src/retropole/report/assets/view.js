@@ -38,7 +38,7 @@ function decodePoints(packed) {
   return Array.from({ length: decoded.xyz.length / 3 }, (_, n) => pointOf(decoded, n));
 }
 
-/** Pick the point of a cloud, in its own frame, that is drawn nearest to a pixel, of those within `reach` pixels rather one in front; null if there is none. */
+/** Pick the point of a cloud, in its frame, that is drawn nearest to a pixel, of those within `reach` pixels rather one in front; null if there is none. */
 function pickPoint(cloud, lens, [x, y], reach) {
   let picked = null, least = Infinity;
   for (let n = 0; n < cloud.count; n++) {
@@ -236,7 +236,7 @@ function webglView(canvas, context, pad, clouds, frames) {
 function topView(canvas, pad, clouds, frames) {
   const context = canvas.getContext("2d");
   const listeners = { move: [], settle: [] };
-  const tell = (what) => listeners[what].forEach((f) => f());
+  const notify = (what) => listeners[what].forEach((f) => f());
   let centre, span, wheel = false, dpr = 1;
   let change, metres;
 
@@ -247,7 +247,7 @@ function topView(canvas, pad, clouds, frames) {
   }
   load(clouds, frames);
 
-  function preset() { centre = frames[0].centre.slice(); span = 2.2 * frames[0].radius; tell("move"); }
+  function preset() { centre = frames[0].centre.slice(); span = 2.2 * frames[0].radius; notify("move"); }
   preset();
 
   let from = null;
@@ -258,16 +258,16 @@ function topView(canvas, pad, clouds, frames) {
     centre[0] -= (e.clientX - from[0]) * perPixel;
     centre[1] += (e.clientY - from[1]) * perPixel;
     from = [e.clientX, e.clientY];
-    tell("move");
+    notify("move");
   });
   for (const name of ["pointerup", "pointercancel"]) {
-    pad.addEventListener(name, () => { from = null; tell("settle"); });
+    pad.addEventListener(name, () => { from = null; notify("settle"); });
   }
   pad.addEventListener("wheel", (e) => {
     if (!wheel) return;
     e.preventDefault();
     span *= Math.exp(e.deltaY / 500);
-    tell("move");
+    notify("move");
   }, { passive: false });
 
   /** Affine map of a pane: pixel = origin + A (x, y). */
@@ -288,8 +288,8 @@ function topView(canvas, pad, clouds, frames) {
     onSettle: (f) => listeners.settle.push(f),
     allowWheel: (on) => { wheel = on; },
     resize(w, h, ratio) { dpr = ratio; canvas.width = w * dpr; canvas.height = h * dpr; },
-    orbit(right, up) { centre[0] += right * span * 0.5; centre[1] += up * span * 0.5; tell("move"); },
-    zoom(factor) { span *= factor; tell("move"); },
+    orbit(right, up) { centre[0] += right * span * 0.5; centre[1] += up * span * 0.5; notify("move"); },
+    zoom(factor) { span *= factor; notify("move"); },
     lens(pane) {
       const { A, at } = affine(pane);
       return {
@@ -388,13 +388,13 @@ function penFor(context, lens, ground) {
 }
 
 /** Draw what lies over the points: range circles, sensors, poles, marked points, rejected clusters, the ellipsoid. */
-function drawMarks(context, pane, lens, scene, held, style) {
+function drawMarks(context, pane, lens, scene, loaded, style) {
   const { halo, trace, line, spot, label } = penFor(context, lens, style.ground);
   const css = (lidar) => `rgb(${style.ofLidar[lidar].join(",")})`;
   const { layers, plain } = style, named = layers.names && !plain, near = scene.kind !== "site";
   // Of recordings the points are looked at, and not where the poles of two LiDARs coincide.
   const slim = scene.kind === "recordings" ? 0.5 : 1;
-  const shown = held.map((cloud, n) => ({ cloud, T: pane.poses[n] })).filter(({ T }, n) => T && style.visible[n]);
+  const shown = loaded.map((cloud, n) => ({ cloud, T: pane.poses[n] })).filter(({ T }, n) => T && style.visible[n]);
   const side = (lidar) => (lidar % 2 ? 1 : -1);
   context.save();
   context.beginPath();
@@ -410,7 +410,7 @@ function drawMarks(context, pane, lens, scene, held, style) {
     if (seen && named) label(text, [seen[0] + 8 * side(lidar), seen[1] - 10], colour, lidar % 2 ? "left" : "right", near ? 13 : 11, !near);
   }
 
-  const base = held.find((cloud) => pane.poses[held.indexOf(cloud)]);
+  const base = loaded.find((cloud) => pane.poses[loaded.indexOf(cloud)]);
   for (const range of plain || !near || !base ? [] : [5, 10, 20, 40]) {
     const [x, y, z] = base.decoded.origin;
     context.strokeStyle = style.faint;
@@ -430,7 +430,7 @@ function drawMarks(context, pane, lens, scene, held, style) {
   }));
   pane.sensors.forEach((T, k) => {
     if (!T || !style.lidars[k]) return;
-    const cloud = held.find((each) => each.lidar === k), o = cloud ? cloud.decoded.origin : [0, 0, 0];
+    const cloud = loaded.find((each) => each.lidar === k), o = cloud ? cloud.decoded.origin : [0, 0, 0];
     const to = (p) => applyPose(T, p), colour = css(k), inside = ellipsoid && k === 1;
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]].forEach((axis, n) => {
       const end = to(o.map((v, m) => v + axis[m]));
@@ -458,23 +458,23 @@ function drawMarks(context, pane, lens, scene, held, style) {
     if (style.places[pole.placement]) drawPole([pole.a, pole.b], pole.label, style.text, 1);
   }
   for (const place of pane.sensors[0] && style.lidars[0] && !plain ? scene.places : []) {
-    // A place that alone decides a direction of the pose: a circle, and what share it holds.
+    // A place that alone decides a direction of the pose: a circle, and its share of the information.
     const c = spot(place.at);
     if (!c) continue;
-    for (const [width, stroke] of [[4, halo], [2, style.denied]]) {
+    for (const [width, stroke] of [[4, halo], [2, style.contradicting]]) {
       context.beginPath();
       context.arc(c[0], c[1], 11, 0, 2 * Math.PI);
       context.lineWidth = width;
       context.strokeStyle = stroke;
       context.stroke();
     }
-    label(`decides ${place.label}`, [c[0], c[1] - 16], style.denied, "center", 12);
+    label(`decides ${place.label}`, [c[0], c[1] - 16], style.contradicting, "center", 12);
   }
   for (const { cloud, T } of shown) {
     const to = (p) => applyPose(T, p), lidar = cloud.lidar, colour = css(lidar);
     for (const pole of layers.poles && !scene.poles.length ? cloud.poles : []) drawPole([to(pole.a), to(pole.b)], pole.label, colour, lidar);
     const spots = (layers.contradicting && cloud.denying[pane.id] || []).map((p) => spot(to(p))).filter(Boolean);
-    for (const [size, fill] of plain ? [[2, style.denied]] : [[6, halo], [4, style.denied]]) {
+    for (const [size, fill] of plain ? [[2, style.contradicting]] : [[6, halo], [4, style.contradicting]]) {
       context.fillStyle = fill;
       for (const [x, y] of spots) context.fillRect(x - size / 2, y - size / 2, size, size);
     }

@@ -94,7 +94,7 @@
     return make("section", "", ...parts);
   }
 
-  /** Names and values of what is known so far. */
+  /** Names and values of what is known now. */
   function factsOf(doc) {
     const facts = [];
     if (doc.angle_rad !== null) facts.push(["Angle between the poles", degrees(doc.angle_rad)]);
@@ -242,7 +242,7 @@
   function look() {
     const now = performance.now(), wasLost = isLost;
     isLost = now - answered > LOST_MS || now - advanced > STUCK_MS;
-    // Once all is done the program may end: what it said last stands.
+    // Once all is done the program may end: its last state stays.
     const isOver = last?.phase === "done";
     put($("stale"), !isLost || !last ? "" : isOver ? "The program has ended. This is what it said last." : "Below is what was seen last.");
     if (!isLost || isOver) {
