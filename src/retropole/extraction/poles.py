@@ -102,7 +102,6 @@ def extract_poles(
             "the brightest tenth, or none",
             {"bright": bright, "points": len(cloud), "threshold": chosen.value},
         )
-    knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
     free = cloud.intensity >= chosen.at(ranges)
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
@@ -113,6 +112,7 @@ def extract_poles(
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
         found, failure = _search(cloud, columns, cluster, free, search)
+        knows_origin = bool(found) and ring_spread(cloud) <= MAX_RING_SPREAD
         for each in found:
             doubt = doubt_of(cloud, each.line, radius, knows_origin)
             if doubt is None:
