@@ -394,7 +394,11 @@ def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:
     """Whether nothing is in front of and close to each of some returns (M,) of a pole."""
     ranges = lengths(cloud.xyz - cloud.origin)
     rays = (cloud.xyz - cloud.origin) / ranges[:, None]
+    # Most others are too far aside in some coordinate.
+    low, high = rays[index].min(axis=0) - BESIDE, rays[index].max(axis=0) + BESIDE
     others = ranges < ranges[index].max() - IN_FRONT
+    for column, least, most in zip(rays.T, low, high, strict=True):
+        others &= (column >= least) & (column <= most)
     others[index] = False
     beside = rays[index] @ rays[others].T > np.cos(BESIDE)
     hides = beside & (ranges[others] < ranges[index, None] - IN_FRONT)
