@@ -435,13 +435,15 @@ def _normal(frame: Frame, system: System, w: Array, noise: Array) -> tuple[Array
         band[below[0] - below[1], first[rows[0]] + below[1]] += block[below]
     weights_of_R = np.repeat(w, np.diff(R.indptr))
     weighted = csr_array((weights_of_R * R.data, R.indices, R.indptr), shape=R.shape)
-    side, corner = (J.T @ weighted).toarray(), (R.T @ weighted).toarray()
+    side = (J.T.tocsr() @ weighted).toarray(order="F")
+    corner = (R.T @ weighted).toarray()
     for lidar, columns in enumerate(system.columns):
         is_own = system.lidar == lidar
         both = np.repeat(is_own, 2)
         own = system.by_lidar[is_own].reshape(-1, len(columns))
-        side[:, columns] += J[both].T @ (w[both, None] * own)
-        corner[np.ix_(columns, columns)] += own.T @ (w[both, None] * own)
+        weighted_own = w[both, None] * own
+        side[:, columns] += J[both].T @ weighted_own
+        corner[np.ix_(columns, columns)] += own.T @ weighted_own
         across = weighted[both].T @ own
         corner[:, columns] += across
         corner[columns] += across.T

@@ -112,9 +112,10 @@ def extract_poles(
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
         found, failure = _search(cloud, columns, cluster, free, search)
-        knows_origin = bool(found) and ring_spread(cloud) <= MAX_RING_SPREAD
         for each in found:
-            doubt = doubt_of(cloud, each.line, radius, knows_origin)
+            doubt = doubt_of(cloud, each.line, radius, knows_origin=True)
+            if doubt and doubt.code == "end_on" and ring_spread(cloud) > MAX_RING_SPREAD:
+                doubt = doubt_of(cloud, each.line, radius, knows_origin=False)
             if doubt is None:
                 accepted.append(each)
             else:
