@@ -140,7 +140,7 @@ def _labels(centre: Array, link: float) -> tuple[int, IntArray]:
         if label[k] < 0:
             group, size = near[k], 1
             while np.count_nonzero(group) > size:
-                size = np.count_nonzero(group)
+                size = int(np.count_nonzero(group))
                 group = near[group].any(axis=0)
             label[group] = count
             count += 1
