@@ -117,7 +117,7 @@ def _fit(
         gap = _across(to_along, to - point @ R.T)
         normal = np.count_nonzero(kept) * np.eye(3) - to_along[kept].T @ to_along[kept]
         t = np.linalg.lstsq(normal, gap[kept].sum(axis=0), rcond=1e-6)[0]
-        distance = se3.lengths(gap - _across(to_along, t))
+        distance = np.linalg.norm(gap - _across(to_along, t), axis=1)
         angle = np.arccos(np.clip(np.einsum("ni,ni->n", to_along, along @ R.T), -1, 1))
         off = angle + distance / METRES_PER_RADIAN
         kept = off <= 3 * np.median(off)
@@ -127,5 +127,4 @@ def _fit(
 
 def _across(along: Array, offsets: Array) -> Array:
     """Parts (N, 3) of offsets, (N, 3) or (3,), across unit vectors (N, 3)."""
-    part = np.einsum("ni,ni->n", along, np.broadcast_to(offsets, along.shape))
-    return np.asarray(offsets - part[:, None] * along)
+    return np.asarray(offsets - (along * offsets).sum(axis=1)[:, None] * along)
