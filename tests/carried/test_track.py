@@ -1,6 +1,5 @@
 """The carried pole among what stands: found in each sweep, and nothing else."""
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -9,16 +8,21 @@ import pytest
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
 from retropole.base.sensors import Threshold
+from retropole.carried import expected as expected_module
 from retropole.carried import track as track_module
+from retropole.carried.expected import AGAIN, BARREN, Expected
 from retropole.carried.track import (
+    Beams,
     Found,
+    Search,
+    Sweep,
     _longest_way,
     _moving,
     _poles_in,
     find_track,
 )
 from retropole.extraction.poles import extract_poles
-from retropole.simulation import EXACT
+from retropole.simulation import EXACT, FIELD
 from retropole.simulation.walks import simulate_walk
 from tests.carried.walks import RADIUS, seen_walk
 
@@ -86,8 +90,8 @@ def test_a_pole_is_found_where_nothing_else_is_near() -> None:
         np.repeat([255.0, 10.0], [len(pole), len(far)]),
         time=np.zeros(len(pole) + len(far)),
     )
-    ranges = np.linalg.norm(cloud.xyz, axis=1)
-    poles = _poles_in(cloud, ranges, Threshold(200.0, "given"), None, RADIUS, 0, Counter())
+    sweep = Sweep(0, cloud, Beams(np.eye(4), None), Threshold(200.0, "given"))
+    poles = _poles_in(sweep, None, RADIUS, Expected())
     assert len(poles) == 1
     assert len(poles[0].xyz) >= len(pole) - 2
 
@@ -108,19 +112,62 @@ def test_a_sign_is_searched_again_now_and_then_and_a_pole_before_it_always(
         return extract_poles(part, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(track_module, "extract_poles", counted)
-    barren: Counter[track_module.Box] = Counter()
+    expected = Expected()
 
     def poles_in(bright: np.ndarray, sweep: int) -> int:
         intensity = np.repeat([255.0, 10.0], [len(bright), len(far)])
-        cloud = PointCloud(np.concatenate([bright, far]), intensity, time=np.zeros(len(intensity)))
-        ranges = np.linalg.norm(cloud.xyz, axis=1)
-        known = Threshold(200.0, "given"), None, RADIUS
-        return len(_poles_in(cloud, ranges, *known, sweep, barren))
+        times = np.full(len(intensity), 0.1 * sweep)
+        cloud = PointCloud(np.concatenate([bright, far]), intensity, time=times)
+        seen = Sweep(sweep, cloud, Beams(np.eye(4), None), Threshold(200.0, "given"))
+        return len(_poles_in(seen, None, RADIUS, expected))
 
     assert sum(poles_in(sign, k) for k in range(1, 41)) == 0
-    assert len(searched) == track_module.BARREN + 4
+    assert len(searched) == BARREN + 40 // AGAIN
     # As it comes near to the sign, both are one cluster, and its ends are others.
     before = pole_xyz + np.array([8.4, 0.9, 0.0]) - pole_xyz.mean(axis=0) * [1, 1, 0]
     count = len(searched)
     assert [poles_in(np.concatenate([sign, before]), k) for k in range(41, 49)] == [1] * 8
     assert len(searched) == count + 8
+
+
+def test_the_track_is_the_same_where_every_sweep_is_searched_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    walk = simulate_walk("street", np.random.default_rng(7), seconds=8.0, noise=FIELD)
+    sweeps = list(walk.record(0, np.random.default_rng(1)))
+    searched = []
+
+    def counted(part: PointCloud, **options: object) -> object:
+        searched.append(len(part))
+        return extract_poles(part, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(track_module, "extract_poles", counted)
+    track = find_track(sweeps, walk.recorders[0].sensor)
+    count = len(searched)
+    monkeypatch.setattr(expected_module, "AGAIN", 1)
+    whole = find_track(sweeps, walk.recorders[0].sensor)
+    assert len(searched) > 2 * count + 20
+    assert len(track.times) > 50
+    for name in ("times", "points", "directions", "xyz", "stamps", "rings", "sweep", "is_whole"):
+        np.testing.assert_array_equal(getattr(track, name), getattr(whole, name))
+
+
+def test_a_second_pole_that_comes_late_is_noticed() -> None:
+    seen = seen_walk(8.0).tracks[0]
+    around = np.linspace(1.0, 5.0, 400)
+    far = 20.0 * np.stack([np.cos(around), np.sin(around), 0.05 * np.cos(9 * around)], axis=1)
+    sideways = np.array([[0.6, 0.0, 0.0], [0.0, 0.6, 0.0]])
+    search, late = Search(radius=RADIUS, threshold=200.0), 33
+    found = []
+    for k in range(len(seen.times)):
+        own = seen.xyz[seen.sweep == k]
+        # The other is carried 5 m and more away.
+        poles = [own] if k < late else [own, own[:, [1, 0, 2]] * [-1, 1, 1]]
+        beside = [each.mean(axis=0) + sideways for each in poles]
+        bright, dim = np.concatenate(poles), np.concatenate([*beside, far])
+        xyz, times = np.concatenate([bright, dim]), np.full(len(bright) + len(dim), seen.times[k])
+        intensity = np.repeat([255.0, 10.0], [len(bright), len(dim)])
+        found.append(len(search.add(PointCloud(xyz, intensity, time=times))))
+    assert found[:late] == [1] * late
+    assert found[40:] == [2] * (len(found) - 40)
+    assert search.track().crowded == pytest.approx(0.5, abs=0.02)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded, solve_banded
+from scipy.linalg.lapack import dpotrf, dpotri, dtbtrs
 from scipy.sparse import csr_array, hstack
 
 from ..alignment.certainty import Part, joint_covariance
@@ -389,11 +390,12 @@ def _solve(
         pull[k : len(pull) - 2 + k] += part * second
     g_coefs = system.by_coefs.T @ (w * r) + pull.ravel()
     g_border = _by_border(system, w * r) + held
-    solved = cho_solve_banded((factor, True), np.column_stack([side, g_coefs]))
-    schur = corner - side.T @ solved[:, :-1]
-    covariance = np.linalg.inv(schur)
-    border = -covariance @ (g_border - side.T @ solved[:, -1])
-    coefs = -(solved[:, -1] + solved[:, :-1] @ border)
+    # One of the two triangular solutions is enough, and its square is half of a product.
+    half, _ = dtbtrs(factor, side, uplo="L")
+    covariance = _inverse(corner - half.T @ half)
+    alone = cho_solve_banded((factor, True), g_coefs)
+    border = -covariance @ (g_border - side.T @ alone)
+    coefs = -cho_solve_banded((factor, True), g_coefs + side @ border)
     # Draws of the posterior show how much of the motion the data leave uncertain (EM).
     upper = np.zeros_like(factor)
     for k in range(len(factor)):
@@ -409,6 +411,15 @@ def _solve(
     return _Step(coefs.reshape(-1, 4), border, covariance, both, leverage)
 
 
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric matrix, in a third of the time where it is positive definite."""
+    factor, fault = dpotrf(matrix, lower=1)
+    if fault:
+        return np.asarray(np.linalg.inv(matrix))
+    found, _ = dpotri(factor, lower=1)
+    return np.asarray(np.tril(found) + np.tril(found, -1).T)
+
+
 def _normal(frame: Frame, system: System, w: Array, noise: Array) -> tuple[Array, Array, Array]:
     """The Cholesky factor of the splines' band, side and corner of the normal equations.
 
@@ -422,14 +433,17 @@ def _normal(frame: Frame, system: System, w: Array, noise: Array) -> tuple[Array
         own = by_coefs[rows].reshape(-1, 16)
         block = own.T @ (weights[rows] * by_coefs[rows]).reshape(-1, 16)
         band[below[0] - below[1], first[rows[0]] + below[1]] += block[below]
-    weighted = R.multiply(w[:, None]).tocsr()
-    side, corner = (J.T @ weighted).toarray(), (R.T @ weighted).toarray()
+    weights_of_R = np.repeat(w, np.diff(R.indptr))
+    weighted = csr_array((weights_of_R * R.data, R.indices, R.indptr), shape=R.shape)
+    side = (J.T.tocsr() @ weighted).toarray(order="F")
+    corner = (R.T @ weighted).toarray()
     for lidar, columns in enumerate(system.columns):
         is_own = system.lidar == lidar
         both = np.repeat(is_own, 2)
         own = system.by_lidar[is_own].reshape(-1, len(columns))
-        side[:, columns] += J[both].T @ (w[both, None] * own)
-        corner[np.ix_(columns, columns)] += own.T @ (w[both, None] * own)
+        weighted_own = w[both, None] * own
+        side[:, columns] += J[both].T @ weighted_own
+        corner[np.ix_(columns, columns)] += own.T @ weighted_own
         across = weighted[both].T @ own
         corner[:, columns] += across
         corner[columns] += across.T
@@ -439,8 +453,10 @@ def _normal(frame: Frame, system: System, w: Array, noise: Array) -> tuple[Array
 def _by_border(system: System, values: Array) -> Array:
     """Sum up values (2 N,) of the residuals times derivatives by the border (C,)."""
     total = system.by_rings.T @ values
-    each = np.einsum("nrk,nr->nk", system.by_lidar, values.reshape(-1, 2))
-    np.add.at(total, system.columns[system.lidar], each)
+    for lidar, columns in enumerate(system.columns):
+        is_own = system.lidar == lidar
+        own = system.by_lidar[is_own].reshape(-1, len(columns))
+        total[columns] += own.T @ values[np.repeat(is_own, 2)]
     return np.asarray(total)
 
 

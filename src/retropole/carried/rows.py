@@ -249,14 +249,14 @@ def left_open(rows: Rows, across: Array, radius: float, wider: float = 0.0) -> O
     at_nodes = np.zeros((len(NODES), len(reach)))
     number = np.arange(int(rows.hits.max(initial=1)))
     for k in number:
-        there = k < rows.hits
-        place = middle + k * step - span / 2
-        mean = (_area(place + half, radius) - _area(place - half, radius)) / (2 * half)
-        inside = np.clip(place + half, -radius, radius) - np.clip(place - half, -radius, radius)
-        depth += np.where(there, mean, 0.0)
-        beyond += np.where(there, 1 - inside / (2 * half), 0.0)
-        off = np.clip(place + NODES[:, None] * half, -radius, radius)
-        at_nodes += np.where(there, np.sqrt(radius**2 - off**2), 0.0)
+        there = np.flatnonzero(k < rows.hits)
+        place, room = (middle + k * step - span / 2)[there], half[there]
+        low, high = place - room, place + room
+        inside = np.clip(high, -radius, radius) - np.clip(low, -radius, radius)
+        depth[there] += (_area(high, radius) - _area(low, radius)) / (2 * room)
+        beyond[there] += 1 - inside / (2 * room)
+        off = np.clip(place + NODES[:, None] * room, -radius, radius)
+        at_nodes[:, there] += np.sqrt(radius**2 - off**2)
     at_nodes /= rows.hits
     mean = NODE_WEIGHTS @ at_nodes / 2
     varied = np.maximum(NODE_WEIGHTS @ at_nodes**2 / 2 - mean**2, 0.0)

@@ -7,7 +7,6 @@ is taken.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import compress
@@ -28,6 +27,7 @@ from ..extraction.poles import extract_poles
 from ..extraction.sensor_pattern import check_sensor
 from ..io.beams import elevations, with_beam_origin, with_trusted_rings
 from ..io.scan_lines import with_rings
+from .expected import FASTEST, JUMP, Box, Expected
 from .moving import Returns, follow, joined
 
 STATIC_SHARE = 0.4
@@ -37,13 +37,6 @@ SAME_PLACE = 0.2
 """Distance of the same pole that stands, in another sweep, metres: what noise moves the middle of
 its returns by."""
 
-FASTEST = 2.5
-"""No person carries a pole faster, m/s (chosen: a person who runs)."""
-
-JUMP = 0.4
-"""The middle of a pole's returns moves by this amount from sweep to sweep where it stands, metres:
-as rings enter and leave."""
-
 BESIDE, IN_FRONT = float(np.radians(0.5)), 0.01
 """What is so close to a return, rad, and nearer by this amount, metres, may hide a part of the
 pole's width: the widest step of the table of sensors is 0.6°; a hand is a few centimetres thick."""
@@ -51,19 +44,9 @@ pole's width: the widest step of the table of sensors is 0.6°; a hand is a few 
 DIFFUSE = 300
 """So many returns of the whole sweep, evenly taken, stand for it where a pole is alone."""
 
-BARREN, AGAIN, CELL = 5, 10, 0.2
-"""What shines within the same box, its ends in the same cells of this size, metres, and was no pole
-so many times in a row, is searched in every tenth sweep only: signs and posts of the surroundings
-take most of the time. Ten recordings of tuning seeds 700 to 704 give the same tracks without it
-(benchmarks/carried.py, 20 s, five pairs of sensors)."""
-
 LONGEST_GAP = 20.0
 """The pole may be out of view for so long, s. With 5 s, half of a tuning walk was left out, and a
 jump of the clock in it."""
-
-
-Box = tuple[float, ...]
-"""Cells of both ends of a cluster, three each."""
 
 
 class Found(NamedTuple):
@@ -121,11 +104,41 @@ class Track:
 class Beams(NamedTuple):
     """Where the beams of a recording start and turn, `Track.T_recording_beams`, and its rings.
 
-    ``levels`` are the elevations (K,) of rings that its points alone show, rad, else None.
+    ``levels`` are the elevations (K,) of rings that its points alone show, rad, else None;
+    ``has_rings`` is whether the numbers of rings in the recording are such.
     """
 
     T_recording_beams: Array
     levels: Array | None
+    has_rings: bool = False
+
+    def numbered(self, cloud: PointCloud) -> PointCloud:
+        """Number the rings of points about the start of the beams that have no others."""
+        if self.levels is None:
+            return cloud
+        between = (self.levels[1:] + self.levels[:-1]) / 2
+        ring = np.searchsorted(between, elevations(cloud.xyz, np.array([0.0, 0.0, 1.0])))
+        return replace(cloud, ring=ring)
+
+
+class Sweep(NamedTuple):
+    """A sweep about the start of its beams, without numbers of rings that its points alone show."""
+
+    number: int
+    cloud: PointCloud
+    beams: Beams
+    threshold: Threshold
+
+    def bright(self) -> tuple[IntArray, Array]:
+        """Index (B,) of the returns that shine, and their thresholds."""
+        intensity, chosen = self.cloud.intensity, self.threshold
+        assert intensity is not None
+        # Most are below any: their ranges need not be known.
+        least = chosen.value if chosen.least is None else min(chosen.value, chosen.least)
+        index = np.flatnonzero(intensity >= least)
+        levels = chosen.at(lengths(self.cloud.xyz[index]))
+        is_bright = intensity[index] >= levels
+        return index[is_bright], levels[is_bright]
 
 
 def find_track(
@@ -185,7 +198,7 @@ class Search:
         self.sweeps = 0
         self._sensor, self._threshold, self._radius = sensor, threshold, radius
         self._found: list[Found] = []
-        self._barren = Counter[Box]()
+        self._expected = Expected()
         self._bright: list[Returns] = []
         self._chosen: Threshold | None = None
         self._beams: Beams | None = None
@@ -209,14 +222,13 @@ class Search:
         self._beams = self._beams or beams_of(cloud, self._sensor)
         cloud = about_beams(cloud, self._beams)
         assert cloud.intensity is not None
-        ranges = lengths(cloud.xyz)
         if self._chosen is None:
+            ranges = lengths(cloud.xyz)
             self._chosen = threshold_for(cloud.intensity, ranges, self._sensor, self._threshold)
-        found = _poles_in(
-            cloud, ranges, self._chosen, self._sensor, self._radius, self.sweeps, self._barren
-        )
+        seen = Sweep(self.sweeps, cloud, self._beams, self._chosen)
+        found = _poles_in(seen, self._sensor, self._radius, self._expected)
         if takes_its_time(self._sensor):
-            self._bright.append(_bright_in(cloud, ranges, self._chosen, self.sweeps))
+            self._bright.append(_bright_in(seen))
         self.sweeps += 1
         self._found += found
         return found
@@ -273,7 +285,7 @@ def beams_of(cloud: PointCloud, sensor: Sensor | None) -> Beams:
     """
     cloud = with_beam_origin(with_trusted_rings(cloud))
     check_sensor(cloud, sensor)
-    levels = None
+    levels, has_rings = None, cloud.ring is not None
     if cloud.ring is None:
         cloud = with_rings(cloud, sensor)
         if cloud.ring is not None:
@@ -283,18 +295,15 @@ def beams_of(cloud: PointCloud, sensor: Sensor | None) -> Beams:
             )
     turn = Rotation.align_vectors(cloud.axis[None], [[0.0, 0.0, 1.0]])[0].as_matrix()
     R = np.eye(3) if np.allclose(cloud.axis, [0, 0, 1], atol=1e-12) else turn
-    return Beams(se3.from_rt(R, cloud.origin), levels)
+    return Beams(se3.from_rt(R, cloud.origin), levels, has_rings)
 
 
 def about_beams(cloud: PointCloud, beams: Beams) -> PointCloud:
-    """Express a sweep about the start of its beams, with the rings that were found of others."""
+    """Express a sweep about the start of its beams."""
     T = beams.T_recording_beams
-    ring = with_trusted_rings(cloud).ring
+    ring = cloud.ring if beams.has_rings else with_trusted_rings(cloud).ring
     if np.any(np.eye(4) != T):
         cloud = cloud.transformed(se3.inverse(T))
-    if beams.levels is not None:
-        between = (beams.levels[1:] + beams.levels[:-1]) / 2
-        ring = np.searchsorted(between, elevations(cloud.xyz, np.array([0.0, 0.0, 1.0])))
     return replace(cloud, origin=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), ring=ring)
 
 
@@ -302,58 +311,51 @@ MIN_SWEEPS = 40
 """In fewer sweeps a pole is no walk: 4 s at 10 Hz (chosen; of 20 s walks, 150 and more are)."""
 
 
-def _poles_in(
-    cloud: PointCloud,
-    ranges: Array,
-    chosen: Threshold,
-    sensor: Sensor | None,
-    radius: float,
-    sweep: int,
-    barren: Counter[Box],
-) -> list[Found]:
-    """Search what is about each bright cluster: most of a sweep is far from any.
+def _poles_in(seen: Sweep, sensor: Sensor | None, radius: float, expected: Expected) -> list[Found]:
+    """Search what is about the bright clusters that may be poles: most of a sweep is far from any.
 
-    How many times in a row none was in a box is counted in ``barren``.
+    What is found, and what is barren, is added to ``expected``.
     """
+    cloud, (bright, thresholds) = seen.cloud, seen.bright()
     assert cloud.intensity is not None
-    bright = np.flatnonzero(cloud.intensity >= chosen.at(ranges))
-    columns = np.ascontiguousarray(cloud.xyz.T)
-    found = []
-    for group in clusters(cloud.xyz[bright], LINK):
-        if len(group) < MIN_POLE_POINTS:
-            continue
-        own = cloud.xyz[bright[group]]
-        ends = np.floor(np.stack([own.min(axis=0), own.max(axis=0)]) / CELL)
-        box = tuple(ends.ravel().tolist())
-        if barren[box] >= BARREN and sweep % AGAIN:
-            continue
-        some = np.sort(near_box(columns, bright[group]))
-        if np.ptp(cloud.intensity[some]) == 0:
-            # Nothing else is near: a few diffuse returns still say that there are such.
-            some = np.union1d(some, every_nth(np.arange(len(cloud)), DIFFUSE))
-        part = cloud.select(some)
-        level = float(chosen.at(ranges[bright[group]]).min())
-        found_here = extract_poles(
-            part, sensor=sensor, threshold=level, radius=radius, is_part=True
-        )
-        barren[box] = 0 if found_here.poles else barren[box] + 1
-        for pole in found_here.poles:
-            assert part.time is not None
-            rings = np.full(len(part), -1) if part.ring is None else part.ring
-            times = part.time[pole.index]
-            found.append(
-                Found(
-                    sweep,
-                    float(times.mean()),
-                    pole.point,
-                    pole.direction,
-                    pole.xyz,
-                    times,
-                    rings[pole.index],
-                    _is_whole(part, pole.index),
-                )
-            )
+    assert cloud.time is not None
+    groups = [group for group in clusters(cloud.xyz[bright], LINK) if len(group) >= MIN_POLE_POINTS]
+    boxes = [Box.of(cloud.xyz[own], cloud.time[own]) for own in (bright[each] for each in groups)]
+    found: list[Found] = []
+    for turn in expected.in_order(seen.number, boxes):
+        for k in [] if found else turn:
+            some = np.sort(near_box(cloud.xyz.T, bright[groups[k]]))
+            if np.ptp(cloud.intensity[some]) == 0:
+                # Nothing else is near: a few diffuse returns still say that there are such.
+                some = np.union1d(some, every_nth(np.arange(len(cloud)), DIFFUSE))
+            part = seen.beams.numbered(cloud.select(some))
+            level = float(thresholds[groups[k]].min())
+            poles = _poles_of(part, seen.number, sensor, level, radius)
+            expected.add(seen.number, boxes[k], [Box.of(each.xyz, each.times) for each in poles])
+            found += poles
     return found
+
+
+def _poles_of(
+    part: PointCloud, sweep: int, sensor: Sensor | None, threshold: float, radius: float
+) -> list[Found]:
+    """Search a part of a sweep."""
+    assert part.time is not None
+    found = extract_poles(part, sensor=sensor, threshold=threshold, radius=radius, is_part=True)
+    rings = np.full(len(part), -1) if part.ring is None else part.ring
+    return [
+        Found(
+            sweep,
+            float(part.time[pole.index].mean()),
+            pole.point,
+            pole.direction,
+            pole.xyz,
+            part.time[pole.index],
+            rings[pole.index],
+            _is_whole(part, pole.index),
+        )
+        for pole in found.poles
+    ]
 
 
 def takes_its_time(sensor: Sensor | None) -> bool:
@@ -361,15 +363,15 @@ def takes_its_time(sensor: Sensor | None) -> bool:
     return sensor is not None and sensor.pattern == "rosette"
 
 
-def _bright_in(cloud: PointCloud, ranges: Array, chosen: Threshold, sweep: int) -> Returns:
+def _bright_in(seen: Sweep) -> Returns:
     """Take all returns of a sweep that shine."""
-    assert cloud.intensity is not None
+    cloud, (index, _) = seen.cloud, seen.bright()
     assert cloud.time is not None
-    index = np.flatnonzero(cloud.intensity >= chosen.at(ranges))
-    rings = np.full(len(index), -1) if cloud.ring is None else cloud.ring[index]
-    of_sweep = np.full(len(index), sweep)
+    own = seen.beams.numbered(cloud.select(index))
+    rings = np.full(len(index), -1) if own.ring is None else own.ring
+    of_sweep = np.full(len(index), seen.number)
     whole = _is_whole(cloud, index) if len(index) else np.zeros(0, dtype=bool)
-    return Returns(cloud.xyz[index], cloud.time[index], of_sweep, rings, whole)
+    return Returns(own.xyz, cloud.time[index], of_sweep, rings, whole)
 
 
 def _followed(chain: list[Found], returns: Returns) -> list[Found]:
@@ -392,7 +394,11 @@ def _is_whole(cloud: PointCloud, index: IntArray) -> BoolArray:
     """Whether nothing is in front of and close to each of some returns (M,) of a pole."""
     ranges = lengths(cloud.xyz - cloud.origin)
     rays = (cloud.xyz - cloud.origin) / ranges[:, None]
+    # Most others are too far aside in some coordinate.
+    low, high = rays[index].min(axis=0) - BESIDE, rays[index].max(axis=0) + BESIDE
     others = ranges < ranges[index].max() - IN_FRONT
+    for column, least, most in zip(rays.T, low, high, strict=True):
+        others &= (column >= least) & (column <= most)
     others[index] = False
     beside = rays[index] @ rays[others].T > np.cos(BESIDE)
     hides = beside & (ranges[others] < ranges[index, None] - IN_FRONT)

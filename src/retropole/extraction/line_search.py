@@ -87,7 +87,7 @@ class LineSearch(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """A line, the log-odds that it is a pole, and why it is not sought; None if it is."""
+    """A line, the log-odds that it is a pole, −∞ if it is not sought, and why; None if it is."""
 
     line: Line
     log_odds: float
@@ -234,8 +234,11 @@ def _judge(
         if shape_failure(cloud, whole, search.fewest, search.shortest) is None:
             line = whole
     around = surroundings_of(cloud, near, bright, line)
-    odds, failure = log_odds(around, search.radius), search.failure_of(around)
-    if failure is None and odds < search.least_odds:
+    failure = search.failure_of(around)
+    if failure is not None:
+        return Judged(line, -np.inf, failure)
+    odds = log_odds(around, search.radius)
+    if odds < search.least_odds:
         reason = f"log-odds of {odds:.1f} that it is a pole, {search.least_odds:g} are needed"
         failure = Failure("part_of_a_surface", reason)
     return Judged(line, odds, failure)

@@ -102,7 +102,6 @@ def extract_poles(
             "the brightest tenth, or none",
             {"bright": bright, "points": len(cloud), "threshold": chosen.value},
         )
-    knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
     free = cloud.intensity >= chosen.at(ranges)
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
@@ -114,7 +113,9 @@ def extract_poles(
         cluster = retro[group]
         found, failure = _search(cloud, columns, cluster, free, search)
         for each in found:
-            doubt = doubt_of(cloud, each.line, radius, knows_origin)
+            doubt = doubt_of(cloud, each.line, radius, knows_origin=True)
+            if doubt and doubt.code == "end_on" and ring_spread(cloud) > MAX_RING_SPREAD:
+                doubt = doubt_of(cloud, each.line, radius, knows_origin=False)
             if doubt is None:
                 accepted.append(each)
             else:

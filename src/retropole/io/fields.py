@@ -322,13 +322,20 @@ def _is_return(xyz: Array, origin: Array) -> BoolArray:
     with np.errstate(invalid="ignore"):
         for start in range(0, len(xyz), 2**14):
             part = xyz[start : start + 2**14]
-            places, at_zero, at_origin = (np.ones(len(part), bool) for _ in range(3))
-            for axis in range(3):
-                places &= np.abs(part[:, axis]) <= LARGEST
-                at_zero &= np.abs(part[:, axis]) < SMALLEST
-                at_origin &= np.abs(part[:, axis] - origin[axis]) < SMALLEST
-            kept[start : start + 2**14] = places & ~at_zero & ~at_origin
+            size = _largest(part.T)
+            off = (column - first for column, first in zip(part.T, origin, strict=True))
+            away = _largest(off) if origin.any() else size
+            # Of a coordinate that is no number, neither is the largest one.
+            kept[start : start + 2**14] = (
+                (size >= SMALLEST) & (size <= LARGEST) & (away >= SMALLEST)
+            )
     return kept
+
+
+def _largest(columns: Iterable[Array]) -> Array:
+    """Size (N,) of the largest of x, y and z, (N,) each."""
+    x, y, z = (np.abs(each) for each in columns)
+    return np.maximum(np.maximum(x, y), z)
 
 
 def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
