@@ -264,7 +264,7 @@ def _weakest(pair: ResultDoc) -> Html:
         return EMPTY
     direction = ", ".join(numbers(weakest.direction, 2))
     ratio = number(weakest.condition, 1)
-    return fill("weakest", text=weakest.words, direction=direction, ratio=ratio)
+    return fill("weakest", direction=direction, ratio=ratio)
 
 
 def ranges(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Listing:
