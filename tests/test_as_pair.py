@@ -59,8 +59,8 @@ def recorded(kind: str) -> tuple[list[PointCloud], list[PointCloud], tuple[Senso
 DEFAULT = ("corridor",)
 """A sixtieth of the CPU time of all."""
 
-NIGHTLY = ("dim tape",)
-"""A sixth of it."""
+NIGHTLY = ("dim tape", "harbor", "square")
+"""A sixth of it, and what differs from a street in its surroundings alone."""
 
 
 def tier_of(kind: str) -> list[pytest.MarkDecorator]:

@@ -225,7 +225,7 @@ def test_an_edited_document_is_an_error_or_one(kind: str, count: int, tmp_path: 
 @pytest.mark.full
 @pytest.mark.parametrize("kind", HOLD)
 def test_more_edited_documents(kind: str, tmp_path: Path) -> None:
-    hold_many(kind, tmp_path, range(1000, 1400))
+    hold_many(kind, tmp_path, range(1000, 1200))
 
 
 @pytest.mark.nightly

@@ -30,7 +30,7 @@ def test_a_damaged_recording_is_an_error_or_a_cloud(tmp_path: Path) -> None:
     [pytest.param(1000, marks=pytest.mark.full), pytest.param(2500, marks=pytest.mark.nightly)],
 )
 def test_more_damaged_recordings(first: int, tmp_path: Path) -> None:
-    hold_many(tmp_path, first, first + 1500, 500)
+    hold_many(tmp_path, first, first + 750, 500)
 
 
 @pytest.mark.nightly

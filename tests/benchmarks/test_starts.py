@@ -74,7 +74,7 @@ SMALLEST = {
     "benchmarks/site.py": ["rings --seeds 2000:2001"],
     "benchmarks/sites.py": ["--seeds 0"],
     "benchmarks/speed.py": ["--seeds 1 --points 5000 --rounds 1"],
-    "benchmarks/sweeps.py": ["--pairs --places 1 --frames 1 2"],
+    "benchmarks/sweeps.py": ["--places 1 --frames 1 2"],
     "benchmarks/sway.py": ["--runs 1 --sizes 0.05 --frequencies 0.3 --frames 2"],
     "benchmarks/units.py": ["--seeds 1000:1001 --kinds"],
     "benchmarks/watch.py": ["--runs 1 --only good"],
