@@ -53,7 +53,7 @@ def with_a_moved_pole(scene: str, seed: int) -> tuple[SimulatedPair, SimulatedPa
 
 
 @pytest.mark.parametrize("scene", first_of(SCENES))
-@pytest.mark.parametrize("seed", first_of(range(50, 52)))
+@pytest.mark.parametrize("seed", first_of([50]))
 @pytest.mark.full
 def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
     scene: str, seed: int

@@ -73,7 +73,7 @@ def _from_walls(xyz: Array) -> Array:
     return np.asarray(np.linalg.lstsq(lever[kept], residual[kept], rcond=None)[0])
 
 
-@pytest.mark.parametrize("seed", first_of(range(4)))
+@pytest.mark.parametrize("seed", first_of(range(2)))
 def test_lidars_on_one_mast_rest_as_one(seed: int) -> None:
     """A third of a period: alone, each rests where it may."""
     alone, T = on_masts(seed, one=True)

@@ -152,7 +152,7 @@ def session_of(process: int) -> int | None:
 @pytest.mark.parametrize(
     "seed",
     [
-        pytest.param(seed, marks=pytest.mark.full if seed < 106 else pytest.mark.nightly)
+        pytest.param(seed, marks=pytest.mark.full if seed < 104 else pytest.mark.nightly)
         for seed in range(100, 400)
     ],
 )
