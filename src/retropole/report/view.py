@@ -264,8 +264,17 @@ def _contradicting(
     rng, packed = np.random.default_rng(0), {}
     limit = MAX_CONTRADICTING // len(subject.scans[0])
     for j, both in enumerate(zip(*subject.scans, strict=True)):
-        target, source = (objects_in(scan.cloud, rng) for scan in both if scan is not None)
-        found = {pose.id: contradicting_points(target, source, pose.T) for pose in poses}
+        clouds = [scan.cloud for scan in both if scan is not None]
+        # Coordinates of a map are large: it is compared about the LiDAR's rough place.
+        local = se3.from_rt(np.eye(3), -clouds[0].origin if clouds[0].is_map else np.zeros(3))
+        target, source = (
+            objects_in(cloud, rng) for cloud in (clouds[0].transformed(local), clouds[1])
+        )
+        found = {
+            pose.id: (se3.apply(se3.inverse(local), of_target), of_source)
+            for pose in poses
+            for of_target, of_source in [contradicting_points(target, source, local @ pose.T)]
+        }
         for k in range(2):
             packed[k, j] = {
                 name: pack_points(points[k][:: 1 + len(points[k]) // limit])
