@@ -52,7 +52,7 @@ def options(rough: np.ndarray) -> rp.RunConfig:
 @pytest.mark.full
 def test_a_lidar_is_found_in_a_map_in_its_coordinates(tmp_path: Path) -> None:
     """As it is in the same map about its origin, and with its errors stated."""
-    found = []
+    found, pages = [], []
     for origin in (ORIGIN, np.zeros(3)):
         given, lidar, T = place(origin)
         rough = T[:3, 3] + np.array([1.5, -2.0, 0.5])
@@ -62,7 +62,9 @@ def test_a_lidar_is_found_in_a_map_in_its_coordinates(tmp_path: Path) -> None:
         assert_near(result.T_target_source, T, degrees=0.05, metres=0.02)
         found.append(se3.from_rt(np.eye(3), -origin) @ result.T_target_source)
         result.save(tmp_path / "out")
-        assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+        pages.append((tmp_path / "out" / "report.html").stat().st_size)
+    # As many points are drawn about either origin.
+    assert pages[0] == pytest.approx(pages[1], rel=0.05)
     assert_near(found[0], found[1], degrees=1e-3, metres=1e-3)
     assert result.uncertainty is not None
     named = {(entry.name, entry.sensor) for entry in result.uncertainty.budget}

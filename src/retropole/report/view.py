@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from ..base import se3
 from ..base.datatypes import Array, Scan
@@ -147,6 +149,7 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
     max_points
         At most this many points of each cloud.
     """
+    subject, origin = _about_rough_place(subject)
     site, pair = subject.site, subject.pair
     recorded = [
         (k, j, scan)
@@ -196,11 +199,31 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
         poles,
         poses,
         None if pair is None else _ellipsoid(pair),
-        [] if pair is None else _places(pair),
+        [] if pair is None else _places(pair, origin),
         centre,
         radius,
         _shown(clouds),
     )
+
+
+def _about_rough_place(subject: Subject) -> tuple[Subject, Array]:
+    """Draw a map about the LiDAR's rough place (3,): large coordinates make no picture."""
+    pair, scans = subject.pair, subject.scans
+    first = next(iter(scans[0]), None) if scans else None
+    if pair is None or first is None or not first.cloud.is_map:
+        return subject, np.zeros(3)
+    local = se3.from_rt(np.eye(3), -first.cloud.origin)
+    T = pair.T_target_source
+    of_map = [s and replace(s, cloud=s.cloud.transformed(local)) for s in scans[0]]
+    near = structs.replace(
+        pair,
+        T_target_source=None if T is None else local @ T,
+        hypotheses=[
+            structs.replace(each, T_target_source=local @ each.T_target_source)
+            for each in pair.hypotheses
+        ],
+    )
+    return replace(subject, pair=near, scans=(of_map, *scans[1:])), first.cloud.origin
 
 
 def recordings_view(names: Sequence[str], scans: Sequence[Scan]) -> PageView:
@@ -264,17 +287,8 @@ def _contradicting(
     rng, packed = np.random.default_rng(0), {}
     limit = MAX_CONTRADICTING // len(subject.scans[0])
     for j, both in enumerate(zip(*subject.scans, strict=True)):
-        clouds = [scan.cloud for scan in both if scan is not None]
-        # Coordinates of a map are large: it is compared about the LiDAR's rough place.
-        local = se3.from_rt(np.eye(3), -clouds[0].origin if clouds[0].is_map else np.zeros(3))
-        target, source = (
-            objects_in(cloud, rng) for cloud in (clouds[0].transformed(local), clouds[1])
-        )
-        found = {
-            pose.id: (se3.apply(se3.inverse(local), of_target), of_source)
-            for pose in poses
-            for of_target, of_source in [contradicting_points(target, source, local @ pose.T)]
-        }
+        target, source = (objects_in(scan.cloud, rng) for scan in both if scan is not None)
+        found = {pose.id: contradicting_points(target, source, pose.T) for pose in poses}
         for k in range(2):
             packed[k, j] = {
                 name: pack_points(points[k][:: 1 + len(points[k]) // limit])
@@ -312,10 +326,12 @@ def _marks(scan: Scan) -> list[MarkView]:
     return [MarkView(cluster.centre, str(k)) for k, cluster in enumerate(rejected)]
 
 
-def _places(result: ResultDoc) -> list[MarkView]:
-    """Places that alone decide a direction of the pose, each with its share."""
+def _places(result: ResultDoc, origin: Array) -> list[MarkView]:
+    """Places about an origin (3,) that alone decide a direction of the pose, with their shares."""
     return [
-        MarkView(np.array([r.values[f"{axis}_m"] for axis in "xyz"]), f"{r.values['share']:.0%}")
+        MarkView(
+            np.array([r.values[f"{axis}_m"] for axis in "xyz"]) - origin, f"{r.values['share']:.0%}"
+        )
         for r in (*result.reasons, *result.notes)
         if r.code == "one_place_decides"
     ]
