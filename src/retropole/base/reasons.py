@@ -174,7 +174,7 @@ class Tables(msgspec.Struct, frozen=True):
     Attributes
     ----------
     groups, prefixes
-        Codes by the place where they occur, and their possible prefixes.
+        Codes by where they occur, and their possible prefixes.
     remedies
         What makes each source of error smaller, by its name in the error budget: those that are no
         matter of a single LiDAR.

@@ -3,8 +3,8 @@
 A person walks no faster than `FASTEST`, so that from where a pole was found the next sweeps show it
 nearby. What was found at all in the last `AGAIN` sweeps is looked for there in every sweep, and so
 are two poles once both were seen. The rest of a sweep is searched where nothing is found so, where
-all that was found stands, and in every tenth sweep: signs and posts of the surroundings would take
-most of the time.
+all that was found is static, and in every tenth sweep: signs and posts of the surroundings would
+take most of the time.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ FASTEST = 2.5
 """No person carries a pole faster, m/s (chosen: a person who runs)."""
 
 JUMP = 0.4
-"""The middle of a pole's returns moves by this amount from sweep to sweep where it stands, metres:
-as rings enter and leave."""
+"""The middle of the returns of a pole at rest moves by this amount from sweep to sweep, metres, as
+rings enter and leave."""
 
 BARREN, AGAIN, CELL = 5, 10, 0.2
 """What shines within the same box, its ends in the same cells of this size, metres, and was no pole
-so many times in a row, is searched in every tenth sweep only. Ten recordings of tuning seeds 700 to
-704 give the same tracks without it (benchmarks/carried.py, 20 s, five pairs of sensors)."""
+this many times in a row, is searched in every tenth sweep only. Ten recordings of tuning seeds 700
+to 704 give the same tracks without it (benchmarks/carried.py, 20 s, five pairs of sensors)."""
 
-STANDS = 10
-"""What was found more often with its ends in the same cells stands, or rests."""
+STATIC = 10
+"""What was found more often than this with its ends in the same cells is static."""
 
 Ends = tuple[int, ...]
 """Cells of both ends of a box, three each."""
@@ -77,7 +77,7 @@ class Expected:
             if dist(box.low, box.high) >= MIN_LENGTH
             and (is_again or self._barren[box.ends] < BARREN)
         ]
-        if is_again or all(self._found[place.ends] > STANDS for _, place in self._places):
+        if is_again or all(self._found[place.ends] > STATIC for _, place in self._places):
             return [sought]
         near = [k for k in sought if any(boxes[k].is_reached_from(own) for _, own in self._places)]
         return [near, [k for k in sought if k not in near]]

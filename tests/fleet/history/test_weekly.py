@@ -9,17 +9,19 @@ from benchmarks.fleet_weekly import Case, Outcome, Week, row_of, said, watched
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
-WEEKS = 4
 
-
-@pytest.mark.nightly  # `test_starts` runs one week in the full tier
-def test_a_site_that_does_not_move_ends_with_0_and_one_that_drifts_with_4(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "weeks", [pytest.param(2, marks=pytest.mark.full), pytest.param(4, marks=pytest.mark.nightly)]
+)
+def test_a_site_that_does_not_move_ends_with_0_and_one_that_drifts_with_4(
+    weeks: int, tmp_path: Path
+) -> None:
     """A drift is told from the second check on, which confirms the first; by 70 mm."""
-    still = watched(Case("still", "street"), 2, tmp_path / "still", WEEKS)
-    assert [week.code for week in still.weeks] == [0] * WEEKS
+    still = watched(Case("still", "street"), 2, tmp_path / "still", weeks)
+    assert [week.code for week in still.weeks] == [0] * weeks
     assert not any(week.events for week in still.weeks)
-    drifting = watched(Case("5 mm a day", "street", a_day=0.005), 1, tmp_path / "drift", WEEKS)
-    assert [week.code for week in drifting.weeks] == [0, 4, 4, 4]
+    drifting = watched(Case("5 mm a day", "street", a_day=0.005), 1, tmp_path / "drift", weeks)
+    assert [week.code for week in drifting.weeks] == [0, *[4] * (weeks - 1)]
     assert drifting.alarm == 2
     assert not drifting.false
     last = drifting.weeks[-1]
@@ -32,7 +34,6 @@ def test_a_site_that_does_not_move_ends_with_0_and_one_that_drifts_with_4(tmp_pa
     assert 0.02 < np.linalg.norm(np.array(size)[3:]) < 0.085
 
 
-@pytest.mark.full
 def test_a_row_says_when_the_alarm_was_and_how_far_the_site_had_moved() -> None:
     quiet, alarm = Week(0, {}), Week(4, {"changed": [{"kind": "step"}]})
     late = Outcome(Case("step", "street", step=0.03), 1, 0.002, (quiet,) * 4 + (alarm,) * 2)

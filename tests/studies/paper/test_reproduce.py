@@ -65,7 +65,6 @@ def test_the_command_writes_an_index_of_everything(
         assert (tmp_path / name.split(")")[0]).is_file()
 
 
-@pytest.mark.nightly  # those that modules of the tests look at run in the full tier
 def test_experiments_make_what_they_say() -> None:
     assert list(all_exhibits()) == names_of()
 
