@@ -164,13 +164,14 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
     T_plan_site = se3.from_rt(plan.R_plan_site, np.zeros(3))
     poses = [] if pair is None else _poses(pair)
     marked = _contradicting(subject, poses)
+    origins = [origin, *np.zeros((len(site.lidars) - 1, 3))]
     clouds = [
         CloudView(
             k,
             j,
             pack_cloud(scan.cloud, scan.detection, max_points=budget),
-            _lines(subject, k, j, scan),
-            _marks(scan),
+            _lines(subject, k, j, scan, origins[k]),
+            _marks(scan, origins[k]),
             marked.get((k, j), {}),
         )
         for k, j, scan in recorded
@@ -236,7 +237,7 @@ def recordings_view(names: Sequence[str], scans: Sequence[Scan]) -> PageView:
         )
         ends = [(pole.point, pole.direction, pole.length) for pole in scan.poles]
         lines = [_line(0, *each, f"pole {i}") for i, each in enumerate(ends)]
-        clouds.append(CloudView(k, 0, packed, lines, _marks(scan), {}))
+        clouds.append(CloudView(k, 0, packed, lines, _marks(scan, np.zeros(3)), {}))
     return PageView(
         kind="recordings",
         status="",
@@ -305,13 +306,13 @@ def _shown(clouds: Sequence[CloudView]) -> str:
     return text + (f", {far:,} beyond {MAX_SHOWN_RANGE:g} m left out" if far else "")
 
 
-def _lines(subject: Subject, k: int, j: int, scan: Scan) -> list[LineView]:
+def _lines(subject: Subject, k: int, j: int, scan: Scan, origin: Array) -> list[LineView]:
     """Draw the poles of a recording; of a pair's first placement, those that its result lists."""
     listed: Sequence[PoleDoc] = pole_documents(scan.poles)
     if subject.pair is not None and j == 0:
         listed = (subject.pair.poles.target, subject.pair.poles.source)[k]
     return [
-        _line(j, pole.point_m, pole.direction, pole.length_m, subject.pole(k, i))
+        _line(j, pole.point_m - origin, pole.direction, pole.length_m, subject.pole(k, i))
         for i, pole in enumerate(listed)
     ]
 
@@ -321,9 +322,9 @@ def _line(placement: int, point: Array, direction: Array, length: float, label: 
     return LineView(placement, point - half, point + half, label)
 
 
-def _marks(scan: Scan) -> list[MarkView]:
+def _marks(scan: Scan, origin: Array) -> list[MarkView]:
     rejected = () if scan.detection is None else scan.detection.rejected
-    return [MarkView(cluster.centre, str(k)) for k, cluster in enumerate(rejected)]
+    return [MarkView(cluster.centre - origin, str(k)) for k, cluster in enumerate(rejected)]
 
 
 def _places(result: ResultDoc, origin: Array) -> list[MarkView]:
